@@ -1,0 +1,51 @@
+# pleat_library(NAME SOURCES... LINK PUBLIC_LIBS...): a static library with our include root, warnings and -march.
+function(pleat_common_options target)
+  target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR})
+  target_link_libraries(${target} PRIVATE pleat_warnings)
+  if(PLEAT_ARCH)
+    target_compile_options(${target} PRIVATE -march=${PLEAT_ARCH})
+  endif()
+  if(PLEAT_SANITIZE)
+    target_compile_options(${target} PRIVATE -fsanitize=${PLEAT_SANITIZE} -fno-omit-frame-pointer)
+    target_link_options(${target} PUBLIC -fsanitize=${PLEAT_SANITIZE})
+  endif()
+endfunction()
+
+function(pleat_library name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;LINK" ${ARGN})
+  add_library(${name} STATIC ${ARG_SOURCES})
+  target_link_libraries(${name} PUBLIC ${ARG_LINK})
+  pleat_common_options(${name})
+endfunction()
+
+# pleat_executable(NAME SOURCES... LINK LIBS...): lands in build/bin.
+function(pleat_executable name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;LINK" ${ARGN})
+  add_executable(${name} ${ARG_SOURCES})
+  target_link_libraries(${name} PRIVATE ${ARG_LINK})
+  pleat_common_options(${name})
+endfunction()
+
+# pleat_test(NAME SOURCES... LINK LIBS...): a GoogleTest program, one CTest entry each, run from the source root.
+function(pleat_test name)
+  cmake_parse_arguments(ARG "" "TIMEOUT" "SOURCES;LINK" ${ARGN})
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 240)
+  endif()
+  add_executable(${name} ${ARG_SOURCES})
+  target_link_libraries(${name} PRIVATE ${ARG_LINK} GTest::gtest GTest::gmock GTest::gtest_main)
+  set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/tests)
+  pleat_common_options(${name})
+  add_test(NAME ${name} COMMAND ${name} WORKING_DIRECTORY ${PROJECT_SOURCE_DIR})
+  set_tests_properties(${name} PROPERTIES TIMEOUT ${ARG_TIMEOUT}
+    ENVIRONMENT "PLEAT_SOURCE_DIR=${PROJECT_SOURCE_DIR};PLEAT_BINARY_DIR=${PROJECT_BINARY_DIR}")
+endfunction()
+
+# pleat_add_rooms(DIR...): adds the folders that exist below the current one.
+function(pleat_add_rooms)
+  foreach(room ${ARGN})
+    if(EXISTS ${CMAKE_CURRENT_SOURCE_DIR}/${room}/CMakeLists.txt)
+      add_subdirectory(${room})
+    endif()
+  endforeach()
+endfunction()

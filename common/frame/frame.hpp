@@ -1,0 +1,47 @@
+// What travels from stage to stage, once per frame.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/mesh/mesh.hpp"
+
+namespace pleat {
+
+/// One frame of one mesh.
+struct Frame {
+  std::uint64_t index = 0;  ///< frame index, from 0
+  double time_s = 0;        ///< time of the scene
+  Positions positions;      ///< (V x 3) metres
+  Positions velocities;     ///< (V x 3) m/s over one frame: v_k = (x_k - x_{k-1}) / frame time, 0 for the first; or empty
+};
+
+/// x -> rotation x + translation.
+struct RigidTransform {
+  Eigen::Matrix3f rotation = Eigen::Matrix3f::Identity();
+  Eigen::Vector3f translation = Eigen::Vector3f::Zero();
+};
+
+/// A dense array with named channels, channels first: (C, h, w) for geometry images, (C, V) for vertex features.
+struct Tensor {
+  std::vector<std::int64_t> shape;
+  std::vector<std::string> channels;  ///< one name per entry of the first dimension
+  std::vector<float> values;          ///< row-major
+};
+
+/// A rigid or animated obstacle in one frame. A sphere has a radius > 0 and no positions; a mesh has its vertices.
+struct ObstacleFrame {
+  std::string name;
+  Eigen::Vector3f center = Eigen::Vector3f::Zero();  ///< sphere
+  float radius = 0;                                  ///< sphere; 0 for a mesh
+  Positions positions;                               ///< mesh; its faces are in ObstacleShape
+};
+
+/// What stays constant of an obstacle.
+struct ObstacleShape {
+  std::string name;
+  Faces faces;  ///< empty for a sphere
+};
+
+}  // namespace pleat
