@@ -1,0 +1,73 @@
+# The front door. `make demo` and `make test` each do everything that is missing: packages, build, run.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+
+BUILD ?= build
+PRESET ?= release
+OUT ?= out
+JOBS ?= $(shell nproc)
+SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+PACKAGES := $(shell sed -n '/^[^#]/p' cmake/packages.txt)
+SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
+
+.PHONY: help setup build demo test bench lint format sanitize clean compose-demo dataset model viewer proto-descriptor
+
+help: ## print this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+# Asks dpkg first, so that a machine with everything installed needs neither root nor a network.
+setup: ## install the Debian packages that are missing (as root, or with sudo)
+	@missing=""; for p in $(PACKAGES); do dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$p"; done; \
+	if [ -n "$$missing" ]; then \
+	  echo "setup: installing$$missing"; \
+	  $(SUDO) apt-get update -qq; \
+	  $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
+	fi; echo "setup: all packages are installed"
+
+build: setup ## configure and build everything into build/
+	@[ -f $(BUILD)/build.ninja ] || { echo "build: configuring preset $(PRESET)"; cmake --preset $(PRESET) >$(BUILD)-configure.log 2>&1 || { cat $(BUILD)-configure.log; exit 1; }; rm -f $(BUILD)-configure.log; }
+	@echo "build: compiling with $(JOBS) jobs"
+	@cmake --build $(BUILD) -j $(JOBS)
+
+demo: build ## simulate and enhance the falling tablecloth; pictures in out/demo/report.html
+	@echo "demo: deploy/scenes/draping.json with the shipped model"
+	@$(BUILD)/bin/pleat run deploy/scenes/draping.json --reference --out $(OUT)/demo
+	@echo "demo: open $(OUT)/demo/report.html in a browser"
+
+test: build ## build and run all tests
+	@ctest --test-dir $(BUILD) --output-on-failure -j $(JOBS)
+
+bench: build ## print the benchmark tables; writes out/bench/report.json
+	@mkdir -p $(OUT)/bench
+	@$(BUILD)/bin/pleat bench
+	@$(BUILD)/bin/pleat bench --json >$(OUT)/bench/report.json
+	@echo "bench: $(OUT)/bench/report.json"
+
+dataset: build ## generate the DRAPING training data into out/dataset/draping
+	@$(BUILD)/bin/pleat dataset generate $(OUT)/dataset/draping --scene draping --scale small
+
+model: build ## train the default model from out/dataset/draping into out/train/draping
+	@$(BUILD)/bin/pleat-train deploy/models/draping.train.json
+
+lint: setup ## formatting, static checks and the rules of the rooms
+	@cmake/lint.sh $(BUILD)
+
+format: setup ## format all sources in place
+	@clang-format -i $(SOURCES)
+
+sanitize: setup ## build with address and undefined-behaviour sanitizers and run the tests under them
+	@cmake --preset asan-ubsan >/dev/null && cmake --build --preset asan-ubsan -j $(JOBS)
+	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 ctest --test-dir build-asan --output-on-failure -LE 'browser|bench'
+
+compose-demo: ## build the container images and run the demo job against them
+	@docker/compose-demo.sh $(OUT)/compose-demo
+
+viewer: ## rebuild the viewer inside report.html (needs npm; the built one is committed)
+	@services/cli/viewer/build.sh
+
+proto-descriptor: ## renew the committed descriptor of the wire contract after adding to it
+	@protoc -I proto --include_imports --descriptor_set_out=proto/pleat/v1/descriptor.binpb proto/pleat/v1/*.proto
+
+clean: ## remove everything that was built or made
+	rm -rf build build-* $(OUT) .cache
