@@ -1,0 +1,122 @@
+// What to simulate: a plain value with visible defaults. The wire form is pleat.v1.Scene.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/mesh/mesh.hpp"
+#include "services/simulation/material.hpp"
+
+namespace pleat::simulation {
+
+/// A pose at a time. The pose of a motion is x -> R (x - pivot) + pivot + translation.
+struct KeyFrame {
+  double time_s = 0;
+  Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< metres
+  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();     ///< axis times angle, radians
+};
+
+/// A scripted motion: cubic Hermite through the key frames with Catmull-Rom tangents (per component), constant before
+/// the first and after the last. No key frames: at rest.
+struct Motion {
+  std::vector<KeyFrame> keys;  ///< times strictly ascending
+  Eigen::Vector3d pivot = Eigen::Vector3d::Zero();
+};
+
+/// Holds coarse vertices (in a fine simulation: the fine vertices inside what they span as well).
+struct Handle {
+  std::string name;
+  std::vector<std::uint32_t> vertices;  ///< coarse vertex indices
+  double start_s = 0;
+  double end_s = 1e30;     ///< released then
+  bool hard = false;       ///< positions are prescribed instead of pulled
+  double stiffness = 1e3;  ///< N/m per vertex, soft handles
+  Motion motion;           ///< applied to the positions the vertices have at the start of the handle
+};
+
+/// A sphere (radius > 0, no mesh) or a closed triangle mesh, rigidly moved. It pushes the cloth and never yields.
+struct Obstacle {
+  std::string name;
+  Eigen::Vector3d center =
+      Eigen::Vector3d::Zero();  ///< sphere: its centre before motion; mesh: translation of the mesh
+  double radius = 0;            ///< sphere
+  Topology mesh;                ///< mesh: rest_positions and faces (outward orientation)
+  Motion motion;                ///< about its pivot, in world coordinates
+};
+
+/// Where the garment is at the beginning: x -> R (scale x) + translation.
+struct InitialTransform {
+  Eigen::Vector3d translation = Eigen::Vector3d::Zero();
+  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();  ///< axis times angle, radians
+  double scale = 1;                                    ///< scales the rest shape and its material coordinates too
+};
+
+struct Wind {
+  double density = 1;                                  ///< of the air, kg/m^3; 0 turns the pressure off
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< m/s
+  double drag = 0;                                     ///< tangential, N s/m^3
+};
+
+struct Contact {
+  double thickness = 5e-3;  ///< metres: repulsion starts there; at most a quarter of the mean edge length is used
+  double stiffness = 1e6;   ///< N/m^3: pressure per penetration of the repulsion layer
+  double friction = 0.6;    ///< cloth on cloth
+  double obstacle_friction = 0.3;
+};
+
+/// How the fine simulation follows the coarse one ([MFSR] section 4.2).
+struct Tracking {
+  double spring = 10;     ///< c, N/m per feature vertex
+  bool two_level = true;  ///< the coarse topology's forces on the feature vertices, on top of the fine ones
+};
+
+struct Scene {
+  std::string name;
+
+  Topology garment;  ///< coarse, with material coordinates
+  InitialTransform transform;
+  double perturbation_m = 0;  ///< amplitude of smooth seeded noise along the normals of the initial shape
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< initial, m/s
+
+  Material material;
+  double density_multiplier = 1;
+  double stretching_multiplier = 1;
+  double bending_multiplier = 1;
+  double damping_s = 1e-3;  ///< stiffness-proportional damping, seconds
+
+  double frame_time_s = 0.04;
+  int steps_per_frame = 8;
+  int frames = 100;  ///< including frame 0, the initial state
+
+  Eigen::Vector3d gravity{0, -9.81, 0};
+  Wind wind;
+  std::vector<Handle> handles;
+  std::vector<Obstacle> obstacles;
+  Contact contact;
+  int subdivision_rounds = 2;
+  Tracking tracking;
+  std::uint64_t seed = 0;
+  int threads = 0;  ///< 0: the processors this process may use
+};
+
+/// Throws kInvalidArgument with the culprit: garment not usable (validate_topology, validate_material_coordinates),
+/// handle on a vertex that does not exist or the same vertex in two handles at once, steps, frames or frame time not
+/// positive, values not finite, negative density, stiffness, friction or thickness, key frames out of order, an
+/// obstacle without shape, or duplicate obstacle names. Whether the start is free of penetrations and
+/// self-intersections is checked by Simulation, which has the hierarchies. O(F log F).
+void validate_scene(const Scene& scene);
+
+/// The pose of a motion at a time: rotation matrix and offset of x -> R x + t.
+struct Pose {
+  Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d translation = Eigen::Vector3d::Zero();
+  Eigen::Vector3d apply(const Eigen::Vector3d& x) const { return rotation * x + translation; }
+};
+Pose pose_at(const Motion& motion, double time_s);
+
+/// exp of an axis-angle vector.
+Eigen::Matrix3d rotation_matrix(const Eigen::Vector3d& axis_angle);
+
+}  // namespace pleat::simulation
