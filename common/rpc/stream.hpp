@@ -1,0 +1,160 @@
+// Bidirectional frame streams as the wire contract has them: `open` answered by `opened`, then frames, answered in
+// order, each by a frame or a FrameError. Synchronous gRPC underneath: one reader, one writer, workers between, all
+// bounded by the window. Messages are reused, so that a long session does not allocate per frame.
+#pragma once
+
+#include <grpcpp/grpcpp.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "common/rpc/status.hpp"
+#include "common/telemetry/metrics.hpp"
+#include "common/telemetry/stage_timer.hpp"
+
+namespace pleat::rpc {
+
+inline constexpr std::uint32_t kDefaultWindow = 4;
+inline constexpr std::uint32_t kMaxWindow = 64;
+
+/// The window of an `open` message: 0 means kDefaultWindow; more than kMaxWindow is kInvalidArgument.
+std::uint32_t checked_window(std::uint32_t requested);
+
+/// The frame index of a message: its own, or that of its coarse or fine frame.
+template <typename Message>
+std::uint64_t frame_index(const Message& message) {
+  if constexpr (requires { message.index(); }) {
+    return message.index();
+  } else if constexpr (requires { message.coarse().index(); }) {
+    return message.coarse().index();
+  } else {
+    return message.fine().index();
+  }
+}
+
+struct FrameServiceOptions {
+  std::string stage;                      ///< in metrics, and in the answer's stage_times where it has them
+  telemetry::Metrics* metrics = nullptr;  ///< may be null
+  std::size_t concurrency = 1;            ///< frames of one stream processed at the same time
+};
+
+/// A whole handler of a frame stream, to be returned from the service's method.
+///   open(const OpenMessage&, OpenedMessage*) -> process
+///   process(const RequestFrame&, ResponseFrame*)
+/// An exception of `open` ends the stream with its status; one of `process` becomes a FrameError and the stream goes
+/// on. With concurrency > 1, process is called from several threads at once; answers keep the order of the requests. A
+/// broken sequence of messages (no open, a second one) ends the stream with INVALID_ARGUMENT after the frames before.
+template <typename Request, typename Response, typename Open>
+grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
+                          const FrameServiceOptions& options, Open&& open);
+
+/// Server side of streams that the server drives and the client paces by acknowledging (Simulation.Simulate).
+/// Request needs has_ack_index() and ack_index(). Construct after `open` was read; it reads from then on.
+template <typename Request, typename Response>
+class PacedWriter {
+ public:
+  PacedWriter(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream, std::uint32_t window,
+              std::uint64_t next_index);
+  /// Cancels the call if the client still sends; joins the reader. Call close() first for a normal end.
+  ~PacedWriter();
+
+  /// Waits until `index` is inside the window, then writes. False: the client has gone, or closed its side.
+  bool write(std::uint64_t index, const Response& response);
+
+  /// True once the client has gone or closed its side: stop working.
+  bool stopped() const;
+
+  /// Waits until the client closes its side or has gone. After the last frame.
+  void close();
+
+ private:
+  void read();
+
+  grpc::ServerContext* context_;
+  grpc::ServerReaderWriter<Response, Request>* stream_;
+  std::uint32_t window_;
+  std::uint64_t acknowledged_;  ///< frames below this index have been taken
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  bool stopped_ = false;
+  std::thread reader_;
+};
+
+struct FrameStreamOptions {
+  std::string peer;                                  ///< for messages: "refinement at unix:/run/pleat/refinement.sock"
+  std::uint32_t window = kDefaultWindow;             ///< frames in flight; as sent in `open`
+  std::chrono::milliseconds open_timeout{60'000};    ///< until `opened`
+  std::chrono::milliseconds frame_timeout{120'000};  ///< longest wait for an answer while frames are in flight
+  bool server_driven = false;                        ///< answers come without requests; the timeout always applies
+};
+
+/// Client side of a frame stream. One thread may push while another pops; with a single thread use try_push.
+/// All members throw pleat::Error with the peer's name when the stream has failed: what the service said, kUnavailable
+/// if it went away, kDeadlineExceeded from the watchdog, kCancelled after cancel().
+template <typename Request, typename Response>
+class FrameStream {
+ public:
+  using Starter = std::function<std::unique_ptr<grpc::ClientReaderWriter<Request, Response>>(grpc::ClientContext*)>;
+
+  /// start: [&](auto* context) { return stub->Refine(context); }
+  FrameStream(const Starter& start, FrameStreamOptions options);
+  /// Cancels what is still running.
+  ~FrameStream();
+  FrameStream(const FrameStream&) = delete;
+  FrameStream& operator=(const FrameStream&) = delete;
+
+  /// Sends `open` and returns `opened`. First call.
+  auto open(const Request& request);
+
+  /// Sends a frame; blocks while the window is full.
+  void push(const Request& request);
+  /// Sends a frame unless the window is full.
+  bool try_push(const Request& request);
+  /// Sends a message that is not a frame and gets no answer (an acknowledgement).
+  void send(const Request& request);
+
+  /// The next answer (a frame or a FrameError), blocking. False: the stream has ended well.
+  bool pop(Response* response);
+
+  /// No more frames will be pushed.
+  void close();
+  /// From any thread. Later calls throw kCancelled.
+  void cancel();
+
+  std::uint32_t in_flight() const;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  bool write(const Request& request, bool counted, bool wait);
+  void write_failed(std::unique_lock<std::mutex>& lock);
+  void end(std::unique_lock<std::mutex>& lock);
+  void throw_if_ended_badly() const;
+  void watch();
+
+  FrameStreamOptions options_;
+  grpc::ClientContext context_;
+  std::unique_ptr<grpc::ClientReaderWriter<Request, Response>> stream_;
+  mutable std::mutex mutex_;
+  std::mutex write_mutex_;  ///< one write at a time, and close() not before it ended
+  std::condition_variable changed_;
+  std::uint32_t in_flight_ = 0;
+  bool opened_ = false, closed_ = false, ended_ = false, cancelled_ = false, timed_out_ = false, destroyed_ = false;
+  std::optional<Clock::time_point> reading_since_;
+  Clock::time_point last_push_ = Clock::now();
+  std::optional<Error> error_;
+  std::thread watchdog_;
+};
+
+}  // namespace pleat::rpc
+
+#include "common/rpc/stream.ipp"

@@ -1,0 +1,19 @@
+// Logging of processes: spdlog, on stderr, as lines for people or JSON lines for machines. Libraries do not log.
+#pragma once
+
+#include <spdlog/spdlog.h>
+
+#include <string>
+
+namespace pleat::telemetry {
+
+struct LogOptions {
+  std::string level = "info";      ///< trace, debug, info, warn, error, off
+  std::string format = "console";  ///< console or json: {"time":..., "level":..., "service":..., "message":...}
+};
+
+/// Sets spdlog's default logger for this process; afterwards spdlog::info(...) and the like work anywhere in adapters.
+/// Throws kInvalidArgument for an unknown level or format.
+void set_up_logging(const std::string& service, const LogOptions& options);
+
+}  // namespace pleat::telemetry
