@@ -11,7 +11,8 @@
 
 namespace pleat::simulation {
 
-/// A pose at a time. The pose of a motion is x -> R (x - pivot) + pivot + translation.
+/// A pose at a time: x -> R (x - pivot) + pivot + translation. The pivot of a handle is the centroid of its vertices at
+/// its start, that of an obstacle its centre (a mesh: the centroid of its vertices).
 struct KeyFrame {
   double time_s = 0;
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< metres
@@ -22,7 +23,6 @@ struct KeyFrame {
 /// the first and after the last. No key frames: at rest.
 struct Motion {
   std::vector<KeyFrame> keys;  ///< times strictly ascending
-  Eigen::Vector3d pivot = Eigen::Vector3d::Zero();
 };
 
 /// Holds coarse vertices (in a fine simulation: the fine vertices inside what they span as well).
@@ -64,6 +64,7 @@ struct Contact {
   double stiffness = 1e6;   ///< N/m^3: pressure per penetration of the repulsion layer
   double friction = 0.6;    ///< cloth on cloth
   double obstacle_friction = 0.3;
+  bool self_collision = true;
 };
 
 /// How the fine simulation follows the coarse one ([MFSR] section 4.2).
@@ -84,7 +85,7 @@ struct Scene {
   double density_multiplier = 1;
   double stretching_multiplier = 1;
   double bending_multiplier = 1;
-  double damping_s = 1e-3;  ///< stiffness-proportional damping, seconds
+  double damping_s = 0;  ///< stiffness-proportional damping, seconds
 
   double frame_time_s = 0.04;
   int steps_per_frame = 8;
@@ -114,7 +115,7 @@ struct Pose {
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();
   Eigen::Vector3d apply(const Eigen::Vector3d& x) const { return rotation * x + translation; }
 };
-Pose pose_at(const Motion& motion, double time_s);
+Pose pose_at(const Motion& motion, const Eigen::Vector3d& pivot, double time_s);
 
 /// exp of an axis-angle vector.
 Eigen::Matrix3d rotation_matrix(const Eigen::Vector3d& axis_angle);

@@ -1,4 +1,4 @@
-// Cloth simulation frame by frame: coarse, fine tracked by the coarse one, or fine alone.
+// Cloth simulation frame by frame: coarse alone, or with a fine mesh that tracks it or goes its own way.
 #pragma once
 
 #include <cstddef>
@@ -17,7 +17,7 @@ namespace pleat::simulation {
 enum class Mode {
   kCoarse,       ///< the garment as it is
   kTrackedFine,  ///< the coarse garment, and the subdivided one that follows it ([MFSR] section 4.2)
-  kFreeFine,     ///< the subdivided garment alone
+  kFreeFine,     ///< both, untied
 };
 
 /// Milliseconds of one frame, summed over its steps.
@@ -39,7 +39,7 @@ struct ContactReport {
 };
 
 struct SimulatedFrame {
-  Frame coarse;               ///< empty positions in kFreeFine
+  Frame coarse;
   std::optional<Frame> fine;  ///< kTrackedFine and kFreeFine
   std::vector<ObstacleFrame> obstacles;
   SimulationTimes times;
