@@ -1,5 +1,7 @@
 #include "common/mesh/mesh.hpp"
 
+#include <Eigen/Geometry>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdio>

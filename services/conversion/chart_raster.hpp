@@ -1,0 +1,49 @@
+// Which texel centre lies where on the charts of a mesh, and how vertices read texels back. Internal to this room.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/mesh/connectivity.hpp"
+#include "common/mesh/mesh.hpp"
+
+namespace pleat {
+
+/// A regular grid of texel centres in material space.
+struct TexelGrid {
+  int width = 0, height = 0;
+  double u0 = 0, v0 = 0;  ///< centre of texel (0, 0), metres
+  double du = 0, dv = 0;  ///< distance of neighbouring centres, metres
+
+  std::size_t size() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(height); }
+};
+
+/// Where a texel gets its value: a point of a face.
+struct TexelSource {
+  std::uint32_t face = kNone;  ///< kNone: padding
+  std::array<float, 3> weight{};
+};
+
+/// A vertex of the material coordinates as a combination of up to four texels. Unused entries have weight 0.
+struct TexelRead {
+  std::array<std::uint32_t, 4> texel{};
+  std::array<float, 4> weight{};
+};
+
+struct ChartRaster {
+  std::vector<TexelSource> sources;      ///< one per texel
+  std::vector<std::uint32_t> chart;      ///< one per texel; kNone for padding
+  std::vector<TexelRead> reads;          ///< one per material coordinate; empty without rims
+  std::vector<std::uint32_t> padded_by;  ///< one per texel: the valid texel whose value it shows; itself if valid
+};
+
+/// Rasterises the faces in material space. A centre on an edge belongs to the face in which it is deepest, then to the
+/// smallest face index. with_rims: texels outside the charts that vertices at their rims read also become valid, with
+/// the value at the nearest point of a face beside that vertex; and `reads` is filled. Charts are the connected
+/// components of uv_faces; a vertex reads texels of its own chart only. Throws kInvalidArgument if two faces overlap in
+/// a texel, no texel is valid, or (with_rims) a chart has none. O(texels + faces + covered texels).
+ChartRaster rasterise_charts(const Topology& topology, const TexelGrid& grid, bool with_rims, const std::string& name);
+
+}  // namespace pleat

@@ -1,0 +1,351 @@
+#include "services/conversion/image_map.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <mutex>
+#include <string>
+
+#include "common/base/error.hpp"
+#include "services/conversion/chart_raster.hpp"
+#include "services/conversion/rigid_alignment.hpp"
+#include "services/conversion/texel_fit.hpp"
+
+namespace pleat {
+namespace {
+
+constexpr std::int64_t kMaxFineTexels = 16ll << 20;
+
+using Features = Eigen::Matrix<float, Eigen::Dynamic, kImageChannels, Eigen::RowMajor>;
+
+// Sparse rows: value of output i = sum of weights times inputs.
+struct SparseRows {
+  std::vector<std::uint32_t> offsets{0};
+  std::vector<std::uint32_t> inputs;
+  std::vector<float> weights;
+};
+
+// One texel: three vertices with weights; padding repeats its source's.
+struct TexelTaps {
+  std::array<std::uint32_t, 3> vertex;
+  std::array<float, 3> weight;
+};
+
+void check_spec(const ImageSpec& spec) {
+  if (spec.scale < 1 || spec.scale > 16) {
+    throw_invalid_argument("image spec: scale must be 1 to 16, not " + std::to_string(spec.scale));
+  }
+  if ((spec.coarse_width == 0) != (spec.coarse_height == 0)) {
+    throw_invalid_argument("image spec: give coarse width and height, or neither");
+  }
+  if (spec.coarse_width < 0 || spec.coarse_height < 0) throw_invalid_argument("image spec: a size is negative");
+  if (spec.coarse_width == 0 && !(spec.texels_per_fine_vertex > 0.1 && spec.texels_per_fine_vertex <= 1000)) {
+    throw_invalid_argument("image spec: texels per fine vertex must be more than 0.1 and at most 1000");
+  }
+  if (spec.coarse_width != 0 && (spec.coarse_width * spec.scale < 2 || spec.coarse_height * spec.scale < 2)) {
+    throw_invalid_argument("image spec: a fine image needs at least 2 x 2 texels");
+  }
+  if (!(spec.lambda > 0 && spec.lambda <= 1e6))
+    throw_invalid_argument("image spec: lambda must be positive and at most 1e6");
+}
+
+struct Box {
+  Eigen::Vector2d low, high;
+};
+
+Box material_box(const Topology& coarse, const Topology& fine) {
+  const auto low = [](const Uv& uv) { return Eigen::Vector2d(uv.colwise().minCoeff().cast<double>()); };
+  const auto high = [](const Uv& uv) { return Eigen::Vector2d(uv.colwise().maxCoeff().cast<double>()); };
+  return {low(coarse.uv).cwiseMin(low(fine.uv)), high(coarse.uv).cwiseMax(high(fine.uv))};
+}
+
+double material_area(const Topology& t) {
+  double area = 0;
+  for (Eigen::Index f = 0; f < t.face_count(); ++f) {
+    const Eigen::Vector2d a = t.uv.row(t.uv_faces(f, 0)).cast<double>();
+    const Eigen::Vector2d u = t.uv.row(t.uv_faces(f, 1)).cast<double>().transpose() - a;
+    const Eigen::Vector2d v = t.uv.row(t.uv_faces(f, 2)).cast<double>().transpose() - a;
+    area += 0.5 * (u.x() * v.y() - u.y() * v.x());
+  }
+  return area;
+}
+
+// Sizes are rounded up to multiples of four, which keeps the aspect and suits vector units.
+ImageSpec resolve_size(ImageSpec spec, const Box& box, const Topology& fine) {
+  if (spec.coarse_width != 0) return spec;
+  const Eigen::Vector2d extent = box.high - box.low;
+  const double covered = material_area(fine) / (extent.x() * extent.y());
+  const double texels = spec.texels_per_fine_vertex * static_cast<double>(fine.vertex_count()) /
+                        std::clamp(covered, 0.01, 1.0) / (spec.scale * spec.scale);
+  const double aspect = std::clamp(extent.x() / extent.y(), 1e-3, 1e3);
+  const auto round_up = [](double x) {
+    return 4 * std::max(1, static_cast<int>(std::ceil(std::min(x, 1e6) / 4 - 1e-6)));
+  };
+  spec.coarse_width = round_up(std::sqrt(texels * aspect));
+  spec.coarse_height = round_up(std::sqrt(texels / aspect));
+  return spec;
+}
+
+std::vector<TexelTaps> make_taps(const Topology& t, const ChartRaster& raster) {
+  std::vector<TexelTaps> taps(raster.sources.size());
+  for (std::size_t i = 0; i < taps.size(); ++i) {
+    const TexelSource& source = raster.sources[raster.padded_by[i]];
+    for (int k = 0; k < 3; ++k) taps[i].vertex[static_cast<std::size_t>(k)] = t.faces(source.face, k);
+    taps[i].weight = source.weight;
+  }
+  return taps;
+}
+
+std::vector<std::uint8_t> make_mask(const ChartRaster& raster) {
+  std::vector<std::uint8_t> mask(raster.sources.size());
+  std::transform(raster.sources.begin(), raster.sources.end(), mask.begin(),
+                 [](const TexelSource& s) -> std::uint8_t { return s.face != kNone; });
+  return mask;
+}
+
+// For each vertex the mean of the reads of its material coordinates.
+SparseRows make_vertex_reads(const Topology& t, const ChartRaster& raster) {
+  std::vector<std::vector<std::uint32_t>> coordinates(static_cast<std::size_t>(t.vertex_count()));
+  for (Eigen::Index f = 0; f < t.face_count(); ++f) {
+    for (int k = 0; k < 3; ++k) {
+      auto& list = coordinates[t.faces(f, k)];
+      if (std::find(list.begin(), list.end(), t.uv_faces(f, k)) == list.end()) list.push_back(t.uv_faces(f, k));
+    }
+  }
+  SparseRows rows;
+  for (const auto& list : coordinates) {
+    for (const std::uint32_t u : list) {
+      for (std::size_t i = 0; i < 4; ++i) {
+        if (raster.reads[u].weight[i] == 0) continue;
+        rows.inputs.push_back(raster.reads[u].texel[i]);
+        rows.weights.push_back(raster.reads[u].weight[i] / static_cast<float>(list.size()));
+      }
+    }
+    rows.offsets.push_back(static_cast<std::uint32_t>(rows.inputs.size()));
+  }
+  return rows;
+}
+
+void check_frame(const Frame& frame, const Topology& t, const char* name) {
+  const auto check = [&](const Positions& values, const char* what) {
+    if (values.rows() != t.vertex_count()) {
+      throw_invalid_argument("frame " + std::to_string(frame.index) + ": " + std::to_string(values.rows()) + " " +
+                             name + " " + what + " for a mesh of " + std::to_string(t.vertex_count()) + " vertices");
+    }
+    if (!values.allFinite()) {
+      throw_invalid_argument("frame " + std::to_string(frame.index) + ": " + name + " " + what + " are not finite");
+    }
+  };
+  check(frame.positions, "positions");
+  if (frame.velocities.rows() != 0) check(frame.velocities, "velocities");
+}
+
+// The nine features of each vertex ([MFSR-S] eq. 4).
+Features vertex_features(const Frame& frame, const Topology& t, const RigidTransform& transform) {
+  const Positions normals = vertex_normals(frame.positions, t.faces);
+  const Eigen::Matrix3f rotation_t = transform.rotation.transpose();
+  Features features(t.vertex_count(), kImageChannels);
+  features.middleCols<3>(kDisplacementChannel) =
+      (frame.positions * rotation_t).rowwise() + transform.translation.transpose();
+  features.middleCols<3>(kDisplacementChannel) -= t.rest_positions;
+  features.middleCols<3>(kNormalChannel) = normals * rotation_t;
+  if (frame.velocities.rows() != 0) {
+    features.middleCols<3>(kVelocityChannel) = frame.velocities * rotation_t;
+  } else {
+    features.middleCols<3>(kVelocityChannel).setZero();
+  }
+  return features;
+}
+
+void shape_image(Tensor& image, int width, int height) {
+  image.shape = {kImageChannels, height, width};
+  if (image.channels != image_channel_names()) image.channels = image_channel_names();
+  image.values.resize(static_cast<std::size_t>(kImageChannels) * static_cast<std::size_t>(width) *
+                      static_cast<std::size_t>(height));
+}
+
+void sample(const std::vector<TexelTaps>& taps, const Features& features, Tensor& image) {
+  const std::size_t size = taps.size();
+  for (std::size_t i = 0; i < size; ++i) {
+    const TexelTaps& tap = taps[i];
+    const Eigen::Matrix<float, 1, kImageChannels> value = tap.weight[0] * features.row(tap.vertex[0]) +
+                                                          tap.weight[1] * features.row(tap.vertex[1]) +
+                                                          tap.weight[2] * features.row(tap.vertex[2]);
+    for (std::size_t c = 0; c < kImageChannels; ++c) image.values[c * size + i] = value(static_cast<Eigen::Index>(c));
+  }
+}
+
+}  // namespace
+
+const std::vector<std::string>& image_channel_names() {
+  static const std::vector<std::string> names{"displacement_x", "displacement_y", "displacement_z",
+                                              "normal_x",       "normal_y",       "normal_z",
+                                              "velocity_x",     "velocity_y",     "velocity_z"};
+  return names;
+}
+
+struct ImageMap::Maps {
+  Topology coarse, fine;
+  ImageSpec spec;
+  TexelGrid coarse_grid, fine_grid;
+  std::vector<std::uint8_t> coarse_mask, fine_mask;
+  std::vector<TexelTaps> coarse_taps, fine_taps;
+  SparseRows vertex_reads;  // fine vertices from fine texels
+  ChartRaster fine_raster;
+  mutable std::once_flag fit_once;
+  mutable std::unique_ptr<TexelFit> fit_when_needed;
+
+  const TexelFit& fit() const {
+    std::call_once(fit_once,
+                   [this] { fit_when_needed = std::make_unique<TexelFit>(fine, fine_grid, fine_raster, spec.lambda); });
+    return *fit_when_needed;
+  }
+
+  // Reads three channels of an image at the fine vertices, rotated back with R^T after adding `add` (V x 3).
+  template <typename Add>
+  void read(const Tensor& image, int first_channel, const RigidTransform& transform, const Add& add,
+            Positions& values) const;
+};
+
+template <typename Add>
+void ImageMap::Maps::read(const Tensor& image, int first_channel, const RigidTransform& transform, const Add& add,
+                          Positions& values) const {
+  if (image.shape.size() != 3 || image.shape[0] < first_channel + 3 || image.shape[0] > kImageChannels ||
+      image.shape[1] != fine_grid.height || image.shape[2] != fine_grid.width ||
+      image.values.size() != static_cast<std::size_t>(image.shape[0]) * fine_grid.size()) {
+    throw_invalid_argument("fine image: expected (" + std::to_string(kImageChannels) + ", " +
+                           std::to_string(fine_grid.height) + ", " + std::to_string(fine_grid.width) + ")");
+  }
+  values.resize(fine.vertex_count(), 3);
+  const float* x = image.values.data() + static_cast<std::size_t>(first_channel) * fine_grid.size();
+  const float* y = x + fine_grid.size();
+  const float* z = y + fine_grid.size();
+  for (Eigen::Index v = 0; v < values.rows(); ++v) {
+    const auto row = static_cast<std::size_t>(v);
+    Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+    for (std::uint32_t i = vertex_reads.offsets[row]; i < vertex_reads.offsets[row + 1]; ++i) {
+      const std::uint32_t texel = vertex_reads.inputs[i];
+      sum += vertex_reads.weights[i] * Eigen::Vector3f(x[texel], y[texel], z[texel]);
+    }
+    const Eigen::Vector3f aligned = sum + add(v);
+    values.row(v) = transform.rotation.transpose() * aligned;
+  }
+  if (!values.allFinite()) throw_invalid_argument("fine image: values are not finite");
+}
+
+ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec& spec)
+    : maps_(std::make_unique<Maps>()) {
+  check_spec(spec);
+  validate_topology(coarse, "coarse mesh");
+  validate_topology(fine, "fine mesh");
+  validate_material_coordinates(coarse, "coarse mesh");
+  validate_material_coordinates(fine, "fine mesh");
+  Maps& m = *maps_;
+  m.coarse = coarse;
+  m.fine = fine;
+  const Box box = material_box(coarse, fine);
+  m.spec = resolve_size(spec, box, fine);
+  const std::int64_t width = static_cast<std::int64_t>(m.spec.coarse_width) * m.spec.scale;
+  const std::int64_t height = static_cast<std::int64_t>(m.spec.coarse_height) * m.spec.scale;
+  if (width > kMaxFineTexels || height > kMaxFineTexels || width * height > kMaxFineTexels) {
+    throw Error(ErrorCode::kResourceExhausted, "image spec: a fine image of " + std::to_string(width) + " x " +
+                                                   std::to_string(height) + " texels is more than " +
+                                                   std::to_string(kMaxFineTexels));
+  }
+  TexelGrid& grid = m.fine_grid;
+  grid = {static_cast<int>(width),
+          static_cast<int>(height),
+          box.low.x(),
+          box.low.y(),
+          (box.high.x() - box.low.x()) / static_cast<double>(width - 1),
+          (box.high.y() - box.low.y()) / static_cast<double>(height - 1)};
+  const double middle = 0.5 * (m.spec.scale - 1);
+  m.coarse_grid = {m.spec.coarse_width,        m.spec.coarse_height,   grid.u0 + middle * grid.du,
+                   grid.v0 + middle * grid.dv, m.spec.scale * grid.du, m.spec.scale * grid.dv};
+
+  m.fine_raster = rasterise_charts(m.fine, m.fine_grid, true, "fine mesh");
+  const ChartRaster coarse_raster = rasterise_charts(m.coarse, m.coarse_grid, false, "coarse mesh");
+  m.coarse_mask = make_mask(coarse_raster);
+  m.fine_mask = make_mask(m.fine_raster);
+  m.coarse_taps = make_taps(m.coarse, coarse_raster);
+  m.fine_taps = make_taps(m.fine, m.fine_raster);
+  m.vertex_reads = make_vertex_reads(m.fine, m.fine_raster);
+}
+
+ImageMap::~ImageMap() = default;
+ImageMap::ImageMap(ImageMap&&) noexcept = default;
+ImageMap& ImageMap::operator=(ImageMap&&) noexcept = default;
+
+const ImageSpec& ImageMap::spec() const { return maps_->spec; }
+int ImageMap::coarse_width() const { return maps_->coarse_grid.width; }
+int ImageMap::coarse_height() const { return maps_->coarse_grid.height; }
+int ImageMap::fine_width() const { return maps_->fine_grid.width; }
+int ImageMap::fine_height() const { return maps_->fine_grid.height; }
+const std::vector<std::uint8_t>& ImageMap::coarse_mask() const { return maps_->coarse_mask; }
+const std::vector<std::uint8_t>& ImageMap::fine_mask() const { return maps_->fine_mask; }
+
+RigidTransform ImageMap::align(const Positions& coarse_positions) const {
+  return kabsch(coarse_positions, maps_->coarse.rest_positions);
+}
+
+CoarseImage ImageMap::coarse_image(const Frame& coarse) const {
+  check_frame(coarse, maps_->coarse, "coarse");
+  CoarseImage result;
+  result.transform = align(coarse.positions);
+  coarse_image(coarse, result.transform, result.image);
+  return result;
+}
+
+void ImageMap::coarse_image(const Frame& coarse, const RigidTransform& transform, Tensor& image) const {
+  check_frame(coarse, maps_->coarse, "coarse");
+  shape_image(image, coarse_width(), coarse_height());
+  sample(maps_->coarse_taps, vertex_features(coarse, maps_->coarse, transform), image);
+}
+
+Tensor ImageMap::fine_image(const Frame& fine, const RigidTransform& transform) const {
+  Tensor image;
+  fine_image(fine, transform, image);
+  return image;
+}
+
+void ImageMap::fine_image(const Frame& fine, const RigidTransform& transform, Tensor& image) const {
+  check_frame(fine, maps_->fine, "fine");
+  shape_image(image, fine_width(), fine_height());
+  const Features features = vertex_features(fine, maps_->fine, transform);
+  if (maps_->spec.method == FineImageMethod::kSampled) {
+    sample(maps_->fine_taps, features, image);
+    return;
+  }
+  const TexelFit& fit = maps_->fit();
+  const Eigen::MatrixXd solution = fit.solve(features.cast<double>());
+  const std::size_t size = maps_->fine_grid.size();
+  for (std::size_t c = 0; c < kImageChannels; ++c) {
+    float* plane = image.values.data() + c * size;
+    for (std::size_t i = 0; i < fit.texels().size(); ++i) {
+      plane[fit.texels()[i]] = static_cast<float>(solution(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(c)));
+    }
+    for (std::size_t i = 0; i < size; ++i) plane[i] = plane[maps_->fine_raster.padded_by[i]];
+  }
+}
+
+Positions ImageMap::to_mesh(const Tensor& image, const RigidTransform& transform) const {
+  Positions positions;
+  to_mesh(image, transform, positions);
+  return positions;
+}
+
+void ImageMap::to_mesh(const Tensor& image, const RigidTransform& transform, Positions& positions) const {
+  const Positions& rest = maps_->fine.rest_positions;
+  maps_->read(
+      image, kDisplacementChannel, transform,
+      [&](Eigen::Index v) -> Eigen::Vector3f { return rest.row(v).transpose() - transform.translation; }, positions);
+}
+
+Positions ImageMap::velocities(const Tensor& image, const RigidTransform& transform) const {
+  Positions result;
+  maps_->read(
+      image, kVelocityChannel, transform, [](Eigen::Index) -> Eigen::Vector3f { return Eigen::Vector3f::Zero(); },
+      result);
+  return result;
+}
+
+}  // namespace pleat

@@ -1,0 +1,98 @@
+// Geometry images: a cloth frame as an image of features in material space, and back ([MFSR] section 4.3, [MFSR-S]
+// eq. 1-4). docs/conversion.md explains the method.
+//
+// Texel convention. Fine texel (i, j), column i and row j, has its centre at
+//   u = u_min + i (u_max - u_min) / (W - 1),   v = v_min + j (v_max - v_min) / (H - 1),
+// so that the outermost centres lie on the edges of the material bounding box and no vertex is outside the grid.
+// Row 0 has the smallest v. Coarse texel (I, J) is the block of `scale` x `scale` fine texels from (I scale, J scale),
+// and its centre is the centre of that block.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "common/frame/frame.hpp"
+#include "common/mesh/mesh.hpp"
+
+namespace pleat {
+
+/// Channels of a geometry image, in this order; all in the frame of the rigid alignment (metres, -, m/s).
+inline constexpr int kImageChannels = 9;
+inline constexpr int kDisplacementChannel = 0, kNormalChannel = 3, kVelocityChannel = 6;
+/// "displacement_x" ... "velocity_z".
+const std::vector<std::string>& image_channel_names();
+
+enum class FineImageMethod {
+  kFitted,   ///< least squares: bilinear reads reproduce the vertices, plus lambda times second differences
+  kSampled,  ///< barycentric sampling as published
+};
+
+struct ImageSpec {
+  double texels_per_fine_vertex = 3;  ///< chooses the size where coarse_width is 0
+  int coarse_width = 0;               ///< texels; 0: from texels_per_fine_vertex and the material bounding box
+  int coarse_height = 0;              ///< texels; set with coarse_width or not at all
+  int scale = 4;                      ///< fine size over coarse size, 1 to 16
+  FineImageMethod method = FineImageMethod::kFitted;
+  double lambda = 1e-4;  ///< weight of the second differences of kFitted, > 0
+};
+
+/// A coarse frame as an image, with the alignment that its fine frame needs.
+struct CoarseImage {
+  Tensor image;  ///< (9, h, w)
+  RigidTransform transform;
+};
+
+/// The sparse maps between the meshes of one session and their images. Immutable after construction: every const member
+/// may be called from several threads.
+class ImageMap {
+ public:
+  /// coarse, fine: both with material coordinates in the same space; fine need not be a subdivision of coarse.
+  /// Throws kInvalidArgument (unusable topology; material coordinates absent, folded or overlapping; a spec out of
+  /// range; an image too small for a chart), kResourceExhausted (more than 16 M fine texels).
+  ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec& spec = {});
+  ~ImageMap();
+  ImageMap(ImageMap&&) noexcept;
+  ImageMap& operator=(ImageMap&&) noexcept;
+
+  const ImageSpec& spec() const;
+  int coarse_width() const;
+  int coarse_height() const;
+  int fine_width() const;
+  int fine_height() const;
+
+  /// 1 where a texel holds a value of its own, 0 where it is padding; (h w) and (H W), row-major. A coarse texel is
+  /// valid if its centre is in a chart; a fine texel also if a vertex at the rim of a chart reads it.
+  const std::vector<std::uint8_t>& coarse_mask() const;
+  const std::vector<std::uint8_t>& fine_mask() const;
+
+  /// The rigid alignment of a frame: kabsch(coarse positions, coarse rest positions).
+  RigidTransform align(const Positions& coarse_positions) const;
+
+  /// Features of a coarse frame as an image (9, h, w). An empty frame.velocities counts as zero. O(V + texels).
+  /// Throws kInvalidArgument for a wrong vertex count or values that are not finite.
+  CoarseImage coarse_image(const Frame& coarse) const;
+  /// The same with a given alignment, into a tensor that is reused.
+  void coarse_image(const Frame& coarse, const RigidTransform& transform, Tensor& image) const;
+
+  /// Features of a fine frame as an image (9, H, W): the training target. The first call of kFitted factorises
+  /// (about 0.3 s for 240 x 160 texels).
+  Tensor fine_image(const Frame& fine, const RigidTransform& transform) const;
+  void fine_image(const Frame& fine, const RigidTransform& transform, Tensor& image) const;
+
+  /// Fine positions (V_fine x 3) from the displacement channels by bilinear reads over valid texels. A vertex with
+  /// several material coordinates gets the mean of its charts; a vertex that no face uses moves with the alignment.
+  /// image: (C, H, W) with C >= 3. Throws kInvalidArgument for another shape or values that are not finite.
+  Positions to_mesh(const Tensor& image, const RigidTransform& transform) const;
+  void to_mesh(const Tensor& image, const RigidTransform& transform, Positions& positions) const;
+
+  /// Fine velocities (V_fine x 3) from the velocity channels, rotated back. image: (9, H, W).
+  Positions velocities(const Tensor& image, const RigidTransform& transform) const;
+
+ private:
+  struct Maps;
+  std::unique_ptr<Maps> maps_;
+};
+
+}  // namespace pleat

@@ -1,0 +1,31 @@
+// The fitted fine image (DESIGN section 5): texels chosen so that bilinear reads reproduce the vertices. Internal.
+#pragma once
+
+#include <vector>
+
+#include "common/mesh/sparse_cholesky.hpp"
+#include "services/conversion/chart_raster.hpp"
+
+namespace pleat {
+
+/// Solves min_x |A x - y|^2 + lambda |D x|^2 + epsilon |x - S y|^2 over the valid texels x for vertex values y, where
+/// A are the vertices' bilinear reads, D the second differences along rows and columns inside one chart, and S the
+/// sampled image; epsilon = 1e-8 only decides texels that neither A nor D reaches. Factorised once.
+class TexelFit {
+ public:
+  /// raster: with reads. Throws kInvalidArgument for lambda <= 0.
+  TexelFit(const Topology& topology, const TexelGrid& grid, const ChartRaster& raster, double lambda);
+
+  /// vertex_values: (V x k). Returns (texels x k): valid texels only, in the order of texels().
+  Eigen::MatrixXd solve(const Eigen::MatrixXd& vertex_values) const;
+
+  /// The valid texels, ascending.
+  const std::vector<std::uint32_t>& texels() const { return texels_; }
+
+ private:
+  std::vector<std::uint32_t> texels_;
+  Eigen::SparseMatrix<double> right_;  // (texels x V): A^T + epsilon S
+  std::unique_ptr<SparseCholesky> factor_;
+};
+
+}  // namespace pleat
