@@ -1,0 +1,160 @@
+#include "common/mesh/bvh.hpp"
+
+#include <algorithm>
+#include <numeric>
+
+#include "common/base/error.hpp"
+
+namespace pleat {
+
+Bvh::Bvh(std::span<const Box> boxes) {
+  if (boxes.empty()) return;
+  nodes_.reserve(2 * boxes.size() - 1);
+  leaf_of_.resize(boxes.size());
+  std::vector<std::uint32_t> elements(boxes.size());
+  std::iota(elements.begin(), elements.end(), 0u);
+  build(boxes, elements);
+  boxes_.resize(nodes_.size());
+  refit(boxes);
+}
+
+std::uint32_t Bvh::build(std::span<const Box> boxes, std::span<std::uint32_t> elements) {
+  const auto node = static_cast<std::uint32_t>(nodes_.size());
+  nodes_.emplace_back();
+  if (elements.size() == 1) {
+    nodes_[node].element = elements[0];
+    leaf_of_[elements[0]] = node;
+    return node;
+  }
+  const auto center = [&](std::uint32_t e, int k) { return boxes[e].lower[k] + boxes[e].upper[k]; };
+  float low[3] = {3e38f, 3e38f, 3e38f}, high[3] = {-3e38f, -3e38f, -3e38f};
+  for (const std::uint32_t e : elements) {
+    for (int k = 0; k < 3; ++k) {
+      low[k] = std::min(low[k], center(e, k));
+      high[k] = std::max(high[k], center(e, k));
+    }
+  }
+  int axis = 0;
+  for (int k = 1; k < 3; ++k) {
+    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
+  }
+  const auto middle = static_cast<std::ptrdiff_t>(elements.size() / 2);
+  std::nth_element(elements.begin(), elements.begin() + middle, elements.end(), [&](std::uint32_t a, std::uint32_t b) {
+    const float ca = center(a, axis), cb = center(b, axis);
+    return ca < cb || (ca == cb && a < b);
+  });
+  build(boxes, elements.first(static_cast<std::size_t>(middle)));
+  const std::uint32_t right = build(boxes, elements.subspan(static_cast<std::size_t>(middle)));
+  nodes_[node].right = right;
+  return node;
+}
+
+void Bvh::refit(std::span<const Box> boxes) {
+  if (boxes.size() != leaf_of_.size()) throw_internal("Bvh::refit: another number of elements");
+  // Children come after their parents, so that one backward pass suffices.
+  for (std::size_t node = nodes_.size(); node-- > 0;) {
+    if (nodes_[node].element != kInner) {
+      boxes_[node] = boxes[nodes_[node].element];
+    } else {
+      Box box = boxes_[node + 1];
+      box.extend(boxes_[nodes_[node].right]);
+      boxes_[node] = box;
+    }
+  }
+}
+
+// Pairs below two nodes; the same node twice means pairs inside it.
+void Bvh::collide(std::uint32_t a, std::uint32_t b, std::vector<Pair>& out) const {
+  std::vector<Pair> stack{{a, b}};
+  while (!stack.empty()) {
+    const auto [p, q] = stack.back();
+    stack.pop_back();
+    if (p == q) {
+      if (nodes_[p].element != kInner) continue;
+      const std::uint32_t left = p + 1, right = nodes_[p].right;
+      stack.push_back({left, right});
+      stack.push_back({right, right});
+      stack.push_back({left, left});
+      continue;
+    }
+    if (!boxes_[p].overlaps(boxes_[q])) continue;
+    const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
+    if (leaf_p && leaf_q) {
+      out.push_back(std::minmax(nodes_[p].element, nodes_[q].element));
+    } else if (leaf_q) {
+      stack.push_back({nodes_[p].right, q});
+      stack.push_back({p + 1, q});
+    } else if (leaf_p) {
+      stack.push_back({p, nodes_[q].right});
+      stack.push_back({p, q + 1});
+    } else {
+      stack.push_back({nodes_[p].right, nodes_[q].right});
+      stack.push_back({nodes_[p].right, q + 1});
+      stack.push_back({p + 1, nodes_[q].right});
+      stack.push_back({p + 1, q + 1});
+    }
+  }
+}
+
+std::vector<Bvh::Pair> Bvh::self_pairs(ThreadPool* pool) const {
+  if (empty()) return {};
+  // Tasks: the tree's upper levels unfolded, always the same way, so that the order of the result is fixed.
+  std::vector<Pair> tasks{{0, 0}};
+  for (int round = 0; round < 6; ++round) {
+    std::vector<Pair> next;
+    for (const auto [p, q] : tasks) {
+      const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
+      if (p == q && !leaf_p) {
+        next.push_back({p + 1, p + 1});
+        next.push_back({p + 1, nodes_[p].right});
+        next.push_back({nodes_[p].right, nodes_[p].right});
+      } else if (p != q && !leaf_p && !leaf_q && boxes_[p].overlaps(boxes_[q])) {
+        for (const std::uint32_t a : {p + 1, nodes_[p].right}) {
+          for (const std::uint32_t b : {q + 1, nodes_[q].right}) next.push_back({a, b});
+        }
+      } else if (p != q && boxes_[p].overlaps(boxes_[q])) {
+        next.push_back({p, q});
+      }
+    }
+    tasks = std::move(next);
+  }
+  std::vector<std::vector<Pair>> results(tasks.size());
+  const auto run = [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) collide(tasks[i].first, tasks[i].second, results[i]);
+  };
+  if (pool != nullptr && size() > 2048) {
+    pool->parallel_for(tasks.size(), 8, run);
+  } else {
+    run(0, tasks.size());
+  }
+  std::size_t total = 0;
+  for (const auto& r : results) total += r.size();
+  std::vector<Pair> out;
+  out.reserve(total);
+  for (const auto& r : results) out.insert(out.end(), r.begin(), r.end());
+  return out;
+}
+
+std::vector<Bvh::Pair> Bvh::pairs(const Bvh& other) const {
+  std::vector<Pair> out;
+  if (empty() || other.empty()) return out;
+  std::vector<Pair> stack{{0, 0}};
+  while (!stack.empty()) {
+    const auto [p, q] = stack.back();
+    stack.pop_back();
+    if (!boxes_[p].overlaps(other.boxes_[q])) continue;
+    const bool leaf_p = nodes_[p].element != kInner, leaf_q = other.nodes_[q].element != kInner;
+    if (leaf_p && leaf_q) {
+      out.push_back({nodes_[p].element, other.nodes_[q].element});
+    } else if (leaf_p) {
+      stack.push_back({p, other.nodes_[q].right});
+      stack.push_back({p, q + 1});
+    } else {
+      stack.push_back({nodes_[p].right, q});
+      stack.push_back({p + 1, q});
+    }
+  }
+  return out;
+}
+
+}  // namespace pleat

@@ -1,0 +1,101 @@
+// A bounding volume hierarchy whose tree is built once and whose boxes are refitted as the mesh moves.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "common/base/parallel.hpp"
+
+namespace pleat {
+
+/// Axis-aligned box in float32, rounded outwards so that it contains the double points it was made from. The fourth
+/// lane is unused; it makes the box two vector registers.
+struct alignas(16) Box {
+  float lower[4] = {3e38f, 3e38f, 3e38f, 0};
+  float upper[4] = {-3e38f, -3e38f, -3e38f, 0};
+
+  /// Contains p and everything closer than `margin` to it.
+  void extend(const Eigen::Vector3d& p, double margin = 0) {
+    for (int k = 0; k < 3; ++k) {
+      // One float rounding is at most 2^-24 of the value; twice that is safely outside.
+      const double slack = margin + 1.2e-7 * (p[k] < 0 ? -p[k] : p[k]) + 1e-30;
+      const float low = static_cast<float>(p[k] - slack), high = static_cast<float>(p[k] + slack);
+      lower[k] = low < lower[k] ? low : lower[k];
+      upper[k] = high > upper[k] ? high : upper[k];
+    }
+  }
+  void extend(const Box& other) {
+    for (int k = 0; k < 4; ++k) {
+      lower[k] = other.lower[k] < lower[k] ? other.lower[k] : lower[k];
+      upper[k] = other.upper[k] > upper[k] ? other.upper[k] : upper[k];
+    }
+  }
+  bool overlaps(const Box& other) const {
+    int outside = 0;  // no branches: the compiler makes vector compares of it
+    for (int k = 0; k < 4; ++k) outside |= (lower[k] > other.upper[k]) | (other.lower[k] > upper[k]);
+    return outside == 0;
+  }
+};
+
+/// Hierarchy over elements (usually faces) given by their boxes. Results do not depend on the number of threads.
+class Bvh {
+ public:
+  using Pair = std::pair<std::uint32_t, std::uint32_t>;
+
+  Bvh() = default;
+  /// Builds the tree by median splits of the boxes' centres and fits the boxes. O(n log n).
+  explicit Bvh(std::span<const Box> boxes);
+
+  std::size_t size() const { return leaf_of_.size(); }
+  bool empty() const { return leaf_of_.empty(); }
+  /// The box around everything. Needs a non-empty hierarchy.
+  const Box& bounds() const { return boxes_.front(); }
+
+  /// New boxes, same elements. O(n).
+  void refit(std::span<const Box> boxes);
+
+  /// All pairs (i < j) of elements whose boxes overlap. The pool may be null.
+  std::vector<Pair> self_pairs(ThreadPool* pool = nullptr) const;
+
+  /// All pairs (i of this, j of other) whose boxes overlap.
+  std::vector<Pair> pairs(const Bvh& other) const;
+
+  /// Calls visit(element) for every element whose box overlaps the box.
+  template <typename Visit>
+  void query(const Box& box, const Visit& visit) const {
+    if (empty()) return;
+    std::uint32_t stack[64];
+    int size = 0;
+    stack[size++] = 0;
+    while (size > 0) {
+      const std::uint32_t node = stack[--size];
+      if (!boxes_[node].overlaps(box)) continue;
+      if (nodes_[node].element != kInner) {
+        visit(nodes_[node].element);
+      } else {
+        stack[size++] = nodes_[node].right;
+        stack[size++] = node + 1;
+      }
+    }
+  }
+
+ private:
+  static constexpr std::uint32_t kInner = 0xffffffffu;
+  // Nodes are stored in depth-first order: the left child follows its parent.
+  struct Node {
+    std::uint32_t element = kInner;  // of a leaf
+    std::uint32_t right = 0;         // of an inner node
+  };
+
+  std::uint32_t build(std::span<const Box> boxes, std::span<std::uint32_t> elements);
+  void collide(std::uint32_t a, std::uint32_t b, std::vector<Pair>& out) const;
+
+  std::vector<Node> nodes_;
+  std::vector<Box> boxes_;              // one per node
+  std::vector<std::uint32_t> leaf_of_;  // node of an element
+};
+
+}  // namespace pleat
