@@ -1,0 +1,62 @@
+#include "services/superres/bundle.hpp"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+
+#include "common/base/error.hpp"
+
+namespace pleat::superres {
+namespace {
+
+constexpr const char* kMetadataFile = "pleat.json";
+
+/// LibTorch's messages have a stack trace below; the first line names the cause.
+std::string first_line(const std::string& text) { return text.substr(0, text.find('\n')); }
+
+void flush_to_disk(const std::string& path) {
+  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (file < 0) throw Error(ErrorCode::kResourceExhausted, path + ": " + std::strerror(errno));
+  const int result = ::fsync(file);
+  const int error = errno;
+  ::close(file);
+  if (result != 0) throw Error(ErrorCode::kResourceExhausted, path + ": " + std::strerror(error));
+}
+
+}  // namespace
+
+void save_bundle(const torch::jit::Module& module, const Metadata& metadata, const std::string& path) {
+  const std::string partial = path + ".partial";
+  try {
+    module.save(partial, {{kMetadataFile, to_json(metadata)}});
+  } catch (const c10::Error& error) {
+    throw Error(ErrorCode::kResourceExhausted,
+                partial + ": can't write: " + first_line(error.what_without_backtrace()));
+  }
+  flush_to_disk(partial);
+  std::error_code error;
+  std::filesystem::rename(partial, path, error);
+  if (error) throw Error(ErrorCode::kResourceExhausted, path + ": can't rename: " + error.message());
+}
+
+torch::jit::Module load_bundle(const std::string& path, Metadata& metadata) {
+  torch::jit::ExtraFilesMap extra{{kMetadataFile, ""}};
+  torch::jit::Module module;
+  try {
+    module = torch::jit::load(path, torch::kCPU, extra);
+  } catch (const c10::Error& error) {
+    throw_data_loss(path +
+                    ": no readable TorchScript archive (truncated?): " + first_line(error.what_without_backtrace()));
+  } catch (const std::exception& error) {
+    throw_data_loss(path + ": no readable TorchScript archive: " + first_line(error.what()));
+  }
+  const std::string& text = extra[kMetadataFile];
+  if (text.empty()) throw_invalid_argument(path + ": a TorchScript file without pleat.json is no model bundle");
+  metadata = metadata_from_json(text, path);
+  return module;
+}
+
+}  // namespace pleat::superres

@@ -1,0 +1,19 @@
+// Writing model bundles. Inside services/superres only: this header needs LibTorch.
+#pragma once
+
+#include <torch/script.h>
+
+#include <string>
+
+#include "services/superres/metadata.hpp"
+
+namespace pleat::superres {
+
+/// Writes module and metadata to `path`: to `path`.partial first, then renamed, so that a reader never sees half.
+/// Errors: kResourceExhausted or kInvalidArgument naming the file.
+void save_bundle(const torch::jit::Module& module, const Metadata& metadata, const std::string& path);
+
+/// Loads both. Errors as read_metadata.
+torch::jit::Module load_bundle(const std::string& path, Metadata& metadata);
+
+}  // namespace pleat::superres

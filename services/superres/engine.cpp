@@ -1,0 +1,250 @@
+#include "services/superres/engine.hpp"
+
+#include <ATen/Parallel.h>
+#include <torch/script.h>
+#include <torch/torch.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <mutex>
+
+#include "common/base/error.hpp"
+#include "common/base/parallel.hpp"
+#include "services/superres/bundle.hpp"
+
+namespace pleat::superres {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// The first value of a field of /proc/cpuinfo, or "".
+std::string processor_field(const std::string& field) {
+  std::ifstream file("/proc/cpuinfo");
+  for (std::string line; std::getline(file, line);) {
+    if (line.rfind(field, 0) == 0) {
+      const auto colon = line.find(':');
+      if (colon != std::string::npos && colon + 2 <= line.size()) return line.substr(colon + 2);
+    }
+  }
+  return "";
+}
+
+std::string first_line(const std::string& text) { return text.substr(0, text.find('\n')); }
+
+bool stays_float32(const std::string& name, const std::vector<std::string>& prefixes) {
+  return std::any_of(prefixes.begin(), prefixes.end(), [&](const auto& prefix) { return name.rfind(prefix, 0) == 0; });
+}
+
+void convert_to_bfloat16(torch::jit::Module& module, const std::vector<std::string>& prefixes) {
+  const auto convert = [&](const std::string& name, torch::Tensor tensor) {
+    if (tensor.is_floating_point() && !stays_float32(name, prefixes)) tensor.set_data(tensor.to(torch::kBFloat16));
+  };
+  for (const auto& entry : module.named_parameters()) convert(entry.name, entry.value);
+  for (const auto& entry : module.named_buffers()) convert(entry.name, entry.value);
+}
+
+}  // namespace
+
+Precision precision_from_string(const std::string& text) {
+  if (text == "auto") return Precision::kAuto;
+  if (text == "float32") return Precision::kFloat32;
+  if (text == "bfloat16") return Precision::kBfloat16;
+  throw_invalid_argument("precision must be auto, float32 or bfloat16, is '" + text + "'");
+}
+
+std::string to_string(Precision precision) {
+  switch (precision) {
+    case Precision::kAuto:
+      return "auto";
+    case Precision::kFloat32:
+      return "float32";
+    case Precision::kBfloat16:
+      return "bfloat16";
+  }
+  throw_internal("unknown precision");
+}
+
+bool processor_has_bfloat16() {
+  const std::string flags = " " + processor_field("flags") + " ";
+  return flags.find(" avx512_bf16 ") != std::string::npos || flags.find(" amx_bf16 ") != std::string::npos;
+}
+
+std::vector<std::string> list_bundles(const std::string& folder) {
+  std::error_code error;
+  fs::directory_iterator files(folder, error);
+  if (error) throw_not_found(folder + ": no folder of model bundles: " + error.message());
+  std::vector<std::string> names;
+  for (const auto& file : files) {
+    if (file.path().extension() == ".pt" && file.is_regular_file(error)) names.push_back(file.path().stem().string());
+  }
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+std::string bundle_path(const std::string& folder, const std::string& name) {
+  const std::string file = name.size() > 3 && name.ends_with(".pt") ? name : name + ".pt";
+  if (name.empty() || name.find_first_of(std::string("/\\\0", 3)) != std::string::npos || name.find("..") == 0) {
+    throw_invalid_argument("model bundle '" + name + "': only names of files in " + folder + " are allowed");
+  }
+  std::error_code error;
+  const fs::path root = fs::canonical(folder, error);
+  if (error) throw_not_found(folder + ": no folder of model bundles: " + error.message());
+  const fs::path path = fs::canonical(root / file, error);
+  if (error || !fs::is_regular_file(path))
+    throw_not_found("model bundle '" + name + "': no file " + folder + "/" + file);
+  if (path.parent_path() != root) {
+    throw_invalid_argument("model bundle '" + name + "' leads outside " + folder);
+  }
+  return path.string();
+}
+
+Metadata read_metadata(const std::string& folder, const std::string& name) {
+  Metadata metadata;
+  load_bundle(bundle_path(folder, name), metadata);
+  return metadata;
+}
+
+struct Engine::State {
+  Metadata metadata;
+  EngineStatus status;
+  torch::Device device = torch::kCPU;
+  torch::jit::Module module;
+  std::mutex mutex;
+
+  torch::Tensor run(const torch::Tensor& input) {
+    const c10::InferenceMode inference;
+    if (at::get_num_threads() != status.threads) at::set_num_threads(status.threads);
+    torch::Tensor output;
+    try {
+      output = module.forward({input.to(device)}).toTensor();
+    } catch (const c10::Error& error) {
+      throw_internal("model bundle '" + metadata.name + "': " + first_line(error.what_without_backtrace()));
+    } catch (const std::runtime_error& error) {
+      throw_internal("model bundle '" + metadata.name + "': " + first_line(error.what()));
+    }
+    const auto expected = std::vector<std::int64_t>{input.size(0), kChannels, input.size(2) * metadata.scale,
+                                                    input.size(3) * metadata.scale};
+    if (output.sizes().vec() != expected) {
+      throw_internal("model bundle '" + metadata.name + "': answers with another shape than (N, 9, 4h, 4w)");
+    }
+    return output.to(torch::kCPU, torch::kFloat32).contiguous();
+  }
+};
+
+Engine::Engine(const EngineOptions& options, const std::string& name) : state_(std::make_unique<State>()) {
+  State& s = *state_;
+  const std::string path = bundle_path(options.folder, name);
+  s.module = load_bundle(path, s.metadata);
+  s.module.eval();
+
+  const bool cuda = options.use_cuda && torch::cuda::is_available();
+  if (cuda) s.device = torch::Device(torch::kCUDA, 0);
+  const bool processor_can = cuda || processor_has_bfloat16();
+  const bool bundle_can = !s.metadata.float32_parameters.empty();
+  if (options.precision == Precision::kBfloat16 && !(processor_can && bundle_can)) {
+    throw Error(ErrorCode::kFailedPrecondition, processor_can
+                                                    ? "model bundle '" + s.metadata.name + "' does not allow bfloat16"
+                                                    : "bfloat16: this processor has neither AVX512-BF16 nor AMX");
+  }
+  const bool bfloat16 = options.precision != Precision::kFloat32 && processor_can && bundle_can;
+  s.status.device = cuda ? "cuda:0" : "cpu";
+  s.status.precision = bfloat16 ? "bfloat16" : "float32";
+  s.status.processor = processor_field("model name");
+  s.status.threads = options.threads > 0 ? options.threads : static_cast<int>(available_processors());
+
+  const torch::NoGradGuard no_grad;
+  at::set_num_threads(s.status.threads);
+  try {
+    if (bfloat16) convert_to_bfloat16(s.module, s.metadata.float32_parameters);
+    s.module.to(s.device);
+    s.module = torch::jit::freeze(s.module);
+    s.module = torch::jit::optimize_for_inference(s.module);
+  } catch (const std::exception& error) {
+    throw_data_loss(path + ": can't be prepared: " + first_line(error.what()));
+  }
+  for (int batch = 1; batch <= std::max(1, options.largest_batch); ++batch) {
+    const auto input = torch::full({batch, kChannels, s.metadata.coarse_height, s.metadata.coarse_width}, 0.5);
+    for (int i = 0; i < std::max(1, options.warm_up); ++i) {
+      if (!torch::isfinite(s.run(input)).all().item<bool>()) {
+        throw_data_loss(path + ": the module answers with values that are not finite");
+      }
+    }
+  }
+}
+
+Engine::~Engine() = default;
+Engine::Engine(Engine&&) noexcept = default;
+Engine& Engine::operator=(Engine&&) noexcept = default;
+
+const Metadata& Engine::describe() const { return state_->metadata; }
+const EngineStatus& Engine::status() const { return state_->status; }
+
+void Engine::require_topology(const std::string& topology_hash) const {
+  const std::string& own = state_->metadata.topology_hash;
+  if (!own.empty() && own != topology_hash) {
+    throw Error(ErrorCode::kFailedPrecondition, "model bundle '" + state_->metadata.name +
+                                                    "' was trained for the coarse mesh " + own + ", not for " +
+                                                    topology_hash);
+  }
+}
+
+std::vector<std::vector<float>> Engine::upscale(std::span<const std::span<const float>> images, int height, int width) {
+  State& s = *state_;
+  if (images.empty()) return {};
+  if (height < 1 || width < 1 || height > 8192 || width > 8192) {
+    throw_invalid_argument("coarse image: " + std::to_string(width) + "x" + std::to_string(height) + " is no size");
+  }
+  const std::size_t texels = static_cast<std::size_t>(height) * static_cast<std::size_t>(width);
+  const std::size_t count = kChannels * texels;
+  const auto batch = static_cast<std::int64_t>(images.size());
+  const auto input = torch::empty({batch, kChannels, height, width}, torch::kFloat32);
+  float* target = input.data_ptr<float>();
+  for (const auto& image : images) {
+    if (image.size() != count) {
+      throw_invalid_argument("coarse image: needs " + std::to_string(count) + " values, has " +
+                             std::to_string(image.size()));
+    }
+    if (!std::all_of(image.begin(), image.end(), [](float v) { return std::isfinite(v); })) {
+      throw_invalid_argument("coarse image: a value is not finite");
+    }
+    std::memcpy(target, image.data(), count * sizeof(float));
+    target += count;
+  }
+  torch::Tensor output;
+  {
+    const std::lock_guard lock(s.mutex);
+    output = s.run(input);
+  }
+  const std::size_t fine = count * static_cast<std::size_t>(s.metadata.scale * s.metadata.scale);
+  std::vector<std::vector<float>> result(images.size());
+  const float* source = output.data_ptr<float>();
+  for (auto& image : result) {
+    image.assign(source, source + fine);
+    source += fine;
+  }
+  return result;
+}
+
+std::vector<float> Engine::upscale(std::span<const float> image, int height, int width) {
+  const std::span<const float> one[] = {image};
+  return std::move(upscale(std::span<const std::span<const float>>(one), height, width).front());
+}
+
+Tensor Engine::upscale(const Tensor& image) {
+  if (image.shape.size() != 3 || image.shape[0] != kChannels || image.channels != state_->metadata.channels) {
+    throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
+  }
+  if (image.shape[1] < 1 || image.shape[1] > 8192 || image.shape[2] < 1 || image.shape[2] > 8192) {
+    throw_invalid_argument("coarse image: its height or width is no size");
+  }
+  Tensor result;
+  result.values = upscale(image.values, static_cast<int>(image.shape[1]), static_cast<int>(image.shape[2]));
+  result.shape = {kChannels, image.shape[1] * kScale, image.shape[2] * kScale};
+  result.channels = image.channels;
+  return result;
+}
+
+}  // namespace pleat::superres
