@@ -1,0 +1,251 @@
+#include <gtest/gtest.h>
+
+#include <limits>
+
+#include "common/base/error.hpp"
+#include "services/conversion/image_map.hpp"
+#include "services/conversion/rigid_alignment.hpp"
+#include "tests/unit/services/conversion/wrinkled_cloth.hpp"
+
+namespace pleat {
+namespace {
+
+using test::Garment;
+using test::load_garment;
+using test::wrinkled_frame;
+
+class Garments : public testing::TestWithParam<const char*> {};
+INSTANTIATE_TEST_SUITE_P(All, Garments, testing::Values("tablecloth", "skirt"));
+
+// The slow and obvious value of one texel: search all faces for the one that holds the centre.
+struct Direct {
+  bool inside = false;
+  Eigen::Vector3d value = Eigen::Vector3d::Zero();
+};
+
+Direct evaluate_directly(const Topology& t, const Positions& values, double u, double v) {
+  Direct result;
+  double deepest = -1e-6;
+  for (Eigen::Index f = 0; f < t.face_count(); ++f) {
+    Eigen::Matrix3d corners;
+    for (int k = 0; k < 3; ++k) corners.col(k) << t.uv.row(t.uv_faces(f, k)).cast<double>().transpose(), 1;
+    const Eigen::Vector3d weights = corners.inverse() * Eigen::Vector3d(u, v, 1);
+    if (weights.minCoeff() < deepest) continue;
+    deepest = weights.minCoeff();
+    result.inside = true;
+    result.value.setZero();
+    for (int k = 0; k < 3; ++k) result.value += weights(k) * values.row(t.faces(f, k)).cast<double>().transpose();
+  }
+  return result;
+}
+
+TEST_P(Garments, SampledTexelsAreBarycentricValuesAtTheirCentres) {
+  const Garment garment = load_garment(GetParam());
+  ImageSpec spec;
+  spec.method = FineImageMethod::kSampled;
+  const ImageMap map(garment.coarse, garment.fine(), spec);
+  const Frame frame = wrinkled_frame(garment.fine(), 0.7f);
+  const RigidTransform motion = test::some_motion();
+  const Tensor image = map.fine_image(frame, motion);
+  const Positions displacement = test::moved(frame.positions, motion) - garment.fine().rest_positions;
+
+  const Eigen::RowVector2d low = garment.fine().uv.colwise().minCoeff().cast<double>();
+  const Eigen::RowVector2d high = garment.fine().uv.colwise().maxCoeff().cast<double>();
+  const int width = map.fine_width(), height = map.fine_height();
+  const auto plane = static_cast<std::size_t>(width * height);
+  int checked = 0;
+  for (int i = 0; i < width * height; i += 397) {
+    const double u = low.x() + (i % width) * (high.x() - low.x()) / (width - 1);
+    const double v = low.y() + (i / width) * (high.y() - low.y()) / (height - 1);
+    const Direct direct = evaluate_directly(garment.fine(), displacement, u, v);
+    const auto texel = static_cast<std::size_t>(i);
+    if (!direct.inside) continue;
+    EXPECT_EQ(map.fine_mask()[texel], 1) << i;
+    ++checked;
+    for (std::size_t c = 0; c < 3; ++c) {
+      EXPECT_NEAR(image.values[c * plane + texel], direct.value(static_cast<Eigen::Index>(c)), 1e-5) << "texel " << i;
+    }
+  }
+  EXPECT_GT(checked, 50);
+}
+
+TEST(ImageMap, ACoarseTexelIsTheCentreOfItsBlock) {
+  const Garment garment = load_garment("tablecloth");
+  const ImageMap map(garment.coarse, garment.fine());
+  // A displacement that is linear in material space has the same value in a coarse texel as in the mean of its block.
+  const auto linear_frame = [](const Topology& t) {
+    Frame frame;
+    frame.positions = t.rest_positions;
+    frame.positions.col(0) += 0.3f * t.uv.col(0) - 0.2f * t.uv.col(1);
+    return frame;
+  };
+  Tensor coarse;
+  map.coarse_image(linear_frame(garment.coarse), RigidTransform{}, coarse);
+  const Tensor fine = map.fine_image(linear_frame(garment.fine()), RigidTransform{});
+  const int scale = map.spec().scale, width = map.coarse_width();
+  ASSERT_EQ(map.fine_width(), scale * width);
+  for (int row = 0; row < map.coarse_height(); ++row) {
+    for (int column = 0; column < width; ++column) {
+      double mean = 0;
+      for (int i = 0; i < scale * scale; ++i) {
+        const int texel = (row * scale + i / scale) * map.fine_width() + column * scale + i % scale;
+        mean += static_cast<double>(fine.values[static_cast<std::size_t>(texel)]) / (scale * scale);
+      }
+      EXPECT_NEAR(mean, coarse.values[static_cast<std::size_t>(row * width + column)], 2e-5) << row << ' ' << column;
+    }
+  }
+}
+
+TEST_P(Garments, ARigidMotionLeavesTheImage) {
+  const Garment garment = load_garment(GetParam());
+  const ImageMap map(garment.coarse, garment.fine());
+  const Frame still = wrinkled_frame(garment.coarse, 0.2f);
+  Frame frame = still;
+  frame.positions = test::moved(still.positions, test::some_motion());
+  frame.velocities = still.velocities * test::some_motion().rotation.transpose();
+  const CoarseImage a = map.coarse_image(still), b = map.coarse_image(frame);
+  ASSERT_EQ(a.image.values.size(), b.image.values.size());
+  ASSERT_EQ(a.image.shape, (std::vector<std::int64_t>{9, map.coarse_height(), map.coarse_width()}));
+  for (std::size_t i = 0; i < a.image.values.size(); ++i) {
+    ASSERT_NEAR(a.image.values[i], b.image.values[i], 2e-5) << i;
+  }
+}
+
+TEST_P(Garments, PaddingShowsTheNearestValidTexel) {
+  const Garment garment = load_garment(GetParam());
+  const ImageMap map(garment.coarse, garment.fine());
+  const CoarseImage coarse = map.coarse_image(wrinkled_frame(garment.coarse, 0.5f));
+  const int width = map.coarse_width(), height = map.coarse_height();
+  for (int texel = 0; texel < width * height; ++texel) {
+    if (map.coarse_mask()[static_cast<std::size_t>(texel)] != 0) continue;
+    int nearest = std::numeric_limits<int>::max();
+    std::vector<int> candidates;
+    for (int other = 0; other < width * height; ++other) {
+      if (map.coarse_mask()[static_cast<std::size_t>(other)] == 0) continue;
+      const int dx = other % width - texel % width, dy = other / width - texel / width;
+      const int squared = dx * dx + dy * dy;
+      if (squared < nearest) candidates.clear();
+      nearest = std::min(nearest, squared);
+      if (squared == nearest) candidates.push_back(other);
+    }
+    const bool found = std::any_of(candidates.begin(), candidates.end(), [&](int other) {
+      return coarse.image.values[static_cast<std::size_t>(other)] ==
+             coarse.image.values[static_cast<std::size_t>(texel)];
+    });
+    EXPECT_TRUE(found) << texel;
+  }
+}
+
+TEST(ImageSpec, TheTableclothGetsThePublishedDefaultSize) {
+  const Garment garment = load_garment("tablecloth");
+  const ImageMap map(garment.coarse, garment.fine());
+  EXPECT_EQ(map.coarse_width(), 60);
+  EXPECT_EQ(map.coarse_height(), 40);
+  EXPECT_EQ(map.fine_width(), 240);
+  EXPECT_EQ(map.fine_height(), 160);
+  ImageSpec paper;
+  paper.coarse_width = 192;
+  paper.coarse_height = 128;
+  EXPECT_EQ(ImageMap(garment.coarse, garment.fine(), paper).fine_width(), 768);
+}
+
+TEST(ImageSpec, BadSpecsAreRefused) {
+  const Garment garment = load_garment("tablecloth");
+  const auto refused = [&](auto change) {
+    ImageSpec spec;
+    change(spec);
+    EXPECT_THROW(ImageMap(garment.coarse, garment.fine(), spec), Error);
+  };
+  refused([](ImageSpec& s) { s.scale = 0; });
+  refused([](ImageSpec& s) { s.scale = 17; });
+  refused([](ImageSpec& s) { s.coarse_width = 10; });
+  refused([](ImageSpec& s) { s.coarse_width = s.coarse_height = -4; });
+  refused([](ImageSpec& s) { s.coarse_width = s.coarse_height = 2'000'000'000; });
+  refused([](ImageSpec& s) { s.texels_per_fine_vertex = std::numeric_limits<double>::quiet_NaN(); });
+  refused([](ImageSpec& s) { s.lambda = 0; });
+}
+
+Topology two_triangles() {
+  Topology t;
+  t.rest_positions.resize(4, 3);
+  t.rest_positions << 0, 0, 0, 1, 0, 0, 1, 0, -1, 0, 0, -1;
+  t.faces.resize(2, 3);
+  t.faces << 0, 1, 2, 0, 2, 3;
+  t.uv.resize(4, 2);
+  t.uv << 0, 0, 1, 0, 1, 1, 0, 1;
+  t.uv_faces = t.faces;
+  return t;
+}
+
+template <typename Change>
+void expect_refused(const Change& change) {
+  Topology t = two_triangles();
+  change(t);
+  EXPECT_THROW(ImageMap(t, t), Error);
+}
+
+TEST(ImageMapInput, BadTopologiesAreRefused) {
+  EXPECT_NO_THROW(ImageMap(two_triangles(), two_triangles()));
+  expect_refused([](Topology& t) {
+    t.uv.resize(0, 2);
+    t.uv_faces.resize(0, 3);
+  });
+  expect_refused([](Topology& t) { t.uv.row(3) << 0.9f, 0.1f; });  // folded
+  expect_refused([](Topology& t) { t.uv.row(2) << 2, 0; });        // no area
+  expect_refused([](Topology& t) { t.uv(1, 1) = std::numeric_limits<float>::infinity(); });
+  expect_refused([](Topology& t) { t.uv_faces(0, 0) = 17; });
+  expect_refused([](Topology& t) { t.rest_positions(0, 0) = std::numeric_limits<float>::quiet_NaN(); });
+  // Two charts of equal orientation on top of each other.
+  expect_refused([](Topology& t) {
+    t.uv.resize(6, 2);
+    t.uv << 0, 0, 1, 0, 1, 1, 0, 0, 1, 0.2f, 0.8f, 1;
+    t.uv_faces.resize(2, 3);
+    t.uv_faces << 0, 1, 2, 3, 4, 5;
+  });
+}
+
+TEST(ImageMapInput, AChartSmallerThanATexelReadsItsRim) {
+  Topology t = two_triangles();
+  t.uv.resize(6, 2);
+  t.uv << 0, 0, 1, 0, 1, 1, 0.201f, 0.801f, 0.202f, 0.801f, 0.202f, 0.802f;
+  t.uv_faces << 0, 1, 2, 3, 4, 5;
+  ImageSpec spec;
+  spec.coarse_width = spec.coarse_height = 8;
+  const ImageMap map(t, t, spec);
+  Frame frame;
+  frame.positions = t.rest_positions;
+  frame.positions.row(3) = frame.positions.row(0);
+  const Positions back = map.to_mesh(map.fine_image(frame, {}), {});
+  EXPECT_TRUE(back.allFinite());
+  EXPECT_LT((back.row(1) - frame.positions.row(1)).norm(), 1e-3f);
+}
+
+TEST(ImageMapInput, BadFramesAreRefused) {
+  const ImageMap map(two_triangles(), two_triangles());
+  Frame frame;
+  frame.positions = two_triangles().rest_positions;
+  EXPECT_NO_THROW(map.coarse_image(frame));
+  Frame wrong = frame;
+  wrong.positions.conservativeResize(3, 3);
+  EXPECT_THROW(map.coarse_image(wrong), Error);
+  EXPECT_THROW(map.fine_image(wrong, {}), Error);
+  wrong = frame;
+  wrong.velocities = Positions::Zero(5, 3);
+  EXPECT_THROW(map.coarse_image(wrong), Error);
+  wrong = frame;
+  wrong.positions(0, 0) = std::numeric_limits<float>::infinity();
+  EXPECT_THROW(map.coarse_image(wrong), Error);
+
+  Tensor image = map.fine_image(frame, {});
+  EXPECT_NO_THROW(map.to_mesh(image, {}));
+  image.values[5] = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_NO_THROW(map.velocities(image, {}));
+  image.shape = {9, 3, 3};
+  EXPECT_THROW(map.to_mesh(image, {}), Error);
+  image = map.fine_image(frame, {});
+  std::fill(image.values.begin(), image.values.end(), std::numeric_limits<float>::quiet_NaN());
+  EXPECT_THROW(map.to_mesh(image, {}), Error);
+}
+
+}  // namespace
+}  // namespace pleat
