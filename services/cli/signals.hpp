@@ -1,0 +1,12 @@
+// Ctrl-C and SIGTERM as a question that long work asks.
+#pragma once
+
+namespace pleat::cli {
+
+/// The first SIGINT, SIGTERM or SIGHUP makes interrupted() true; a second one ends the process at once with
+/// 128 + its number (children that the launcher started end with it). SIGPIPE is ignored. Call once, at the start.
+void install_signal_handlers();
+
+bool interrupted() noexcept;
+
+}  // namespace pleat::cli
