@@ -14,7 +14,7 @@ struct Frame {
   std::uint64_t index = 0;  ///< frame index, from 0
   double time_s = 0;        ///< time of the scene
   Positions positions;      ///< (V x 3) metres
-  Positions velocities;     ///< (V x 3) m/s over one frame: v_k = (x_k - x_{k-1}) / frame time, 0 for the first; or empty
+  Positions velocities;  ///< (V x 3) m/s over one frame: v_k = (x_k - x_{k-1}) / frame time, 0 for the first; or empty
 };
 
 /// x -> rotation x + translation.

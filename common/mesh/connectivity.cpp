@@ -12,11 +12,12 @@ namespace {
 
 using OpenTriMesh = OpenMesh::TriMesh_ArrayKernelT<>;
 
-// OpenMesh's half-edge structure wants manifold vertices too (one fan of faces each). Garments may touch in a vertex, so
-// that each fan gets its own OpenMesh vertex when the plain insertion is refused.
+// OpenMesh's half-edge structure wants manifold vertices too (one fan of faces each). Garments may touch in a vertex,
+// so that each fan gets its own OpenMesh vertex when the plain insertion is refused.
 OpenTriMesh to_open_mesh(Eigen::Index vertex_count, const Faces& faces) {
   OpenTriMesh mesh;
-  mesh.reserve(static_cast<std::size_t>(vertex_count), static_cast<std::size_t>(faces.rows()) * 2, static_cast<std::size_t>(faces.rows()));
+  mesh.reserve(static_cast<std::size_t>(vertex_count), static_cast<std::size_t>(faces.rows()) * 2,
+               static_cast<std::size_t>(faces.rows()));
   for (Eigen::Index v = 0; v < vertex_count; ++v) mesh.add_vertex(OpenTriMesh::Point(0, 0, 0));
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
     const auto handle = [&](int k) { return mesh.vertex_handle(faces(f, k)); };
@@ -64,7 +65,8 @@ Connectivity from_hash(const Faces& faces) {
         c.edges.push_back({a, b, static_cast<std::uint32_t>(f), kNone, opposite, kNone});
       } else {
         Edge& e = c.edges[it->second];
-        if (e.f1 != kNone) throw_invalid_argument("edge " + std::to_string(a) + "-" + std::to_string(b) + " has more than two faces");
+        if (e.f1 != kNone)
+          throw_invalid_argument("edge " + std::to_string(a) + "-" + std::to_string(b) + " has more than two faces");
         e.f1 = static_cast<std::uint32_t>(f);
         e.opposite1 = opposite;
       }
@@ -78,7 +80,8 @@ Connectivity from_hash(const Faces& faces) {
 
 Connectivity build_connectivity(Eigen::Index vertex_count, const Faces& faces) {
   const OpenTriMesh mesh = to_open_mesh(vertex_count, faces);
-  Connectivity c = mesh.n_faces() == static_cast<std::size_t>(faces.rows()) ? from_open_mesh(mesh, faces) : from_hash(faces);
+  Connectivity c =
+      mesh.n_faces() == static_cast<std::size_t>(faces.rows()) ? from_open_mesh(mesh, faces) : from_hash(faces);
 
   c.vertex_face_offsets.assign(static_cast<std::size_t>(vertex_count) + 1, 0);
   for (Eigen::Index i = 0; i < faces.size(); ++i) ++c.vertex_face_offsets[faces.data()[i] + 1];

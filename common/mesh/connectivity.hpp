@@ -20,10 +20,10 @@ struct Edge {
 };
 
 struct Connectivity {
-  std::vector<Edge> edges;                           ///< ordered by first appearance in face order: deterministic
+  std::vector<Edge> edges;                               ///< ordered by first appearance in face order: deterministic
   std::vector<std::array<std::uint32_t, 3>> face_edges;  ///< edge k of a face joins its corners k and (k+1)%3
-  std::vector<std::uint32_t> vertex_face_offsets;    ///< (V+1) compressed rows into vertex_faces
-  std::vector<std::uint32_t> vertex_faces;           ///< faces at a vertex, ascending
+  std::vector<std::uint32_t> vertex_face_offsets;        ///< (V+1) compressed rows into vertex_faces
+  std::vector<std::uint32_t> vertex_faces;               ///< faces at a vertex, ascending
 };
 
 /// Needs a topology that passed validate_topology (manifold edges). O(F).

@@ -66,20 +66,23 @@ Positions vertex_normals(const Positions& positions, const Faces& faces) {
 }
 
 void validate_topology(const Topology& t, const std::string& name) {
-  if (t.vertex_count() == 0 || t.face_count() == 0) throw_invalid_argument(name + ": the mesh has no vertices or no faces");
+  if (t.vertex_count() == 0 || t.face_count() == 0)
+    throw_invalid_argument(name + ": the mesh has no vertices or no faces");
   for (Eigen::Index v = 0; v < t.vertex_count(); ++v) {
     if (!t.rest_positions.row(v).allFinite()) {
       throw_invalid_argument(name + ": rest position of vertex " + std::to_string(v) + " is not finite");
     }
   }
   for (Eigen::Index u = 0; u < t.uv.rows(); ++u) {
-    if (!t.uv.row(u).allFinite()) throw_invalid_argument(name + ": material coordinate " + std::to_string(u) + " is not finite");
+    if (!t.uv.row(u).allFinite())
+      throw_invalid_argument(name + ": material coordinate " + std::to_string(u) + " is not finite");
   }
   if (t.uv_faces.rows() != 0 && t.uv_faces.rows() != t.face_count()) {
     throw_invalid_argument(name + ": " + std::to_string(t.face_count()) + " faces, but " +
                            std::to_string(t.uv_faces.rows()) + " faces of material coordinates");
   }
-  if ((t.uv.rows() == 0) != (t.uv_faces.rows() == 0)) throw_invalid_argument(name + ": material coordinates without faces, or faces without them");
+  if ((t.uv.rows() == 0) != (t.uv_faces.rows() == 0))
+    throw_invalid_argument(name + ": material coordinates without faces, or faces without them");
   check_faces(t.faces, t.vertex_count(), name);
   check_faces(t.uv_faces, t.uv.rows(), name + ", material coordinates");
 
@@ -89,21 +92,25 @@ void validate_topology(const Topology& t, const std::string& name) {
     for (int k = 0; k < 3; ++k) {
       const std::uint32_t a = t.faces(f, k), b = t.faces(f, (k + 1) % 3);
       if (a == b) throw_invalid_argument(name + ": face " + std::to_string(f) + " repeats vertex " + std::to_string(a));
-      half_edges.push_back({(static_cast<std::uint64_t>(std::min(a, b)) << 32) | std::max(a, b),
-                            static_cast<std::uint32_t>(f), a < b});
+      half_edges.push_back(
+          {(static_cast<std::uint64_t>(std::min(a, b)) << 32) | std::max(a, b), static_cast<std::uint32_t>(f), a < b});
     }
   }
-  std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& x, const HalfEdge& y) { return x.key < y.key; });
+  std::stable_sort(half_edges.begin(), half_edges.end(),
+                   [](const HalfEdge& x, const HalfEdge& y) { return x.key < y.key; });
   for (std::size_t i = 0; i < half_edges.size();) {
     std::size_t j = i;
     while (j < half_edges.size() && half_edges[j].key == half_edges[i].key) ++j;
-    const auto a = static_cast<std::uint32_t>(half_edges[i].key >> 32), b = static_cast<std::uint32_t>(half_edges[i].key);
+    const auto a = static_cast<std::uint32_t>(half_edges[i].key >> 32),
+               b = static_cast<std::uint32_t>(half_edges[i].key);
     if (j - i > 2) {
-      throw_invalid_argument(name + ": edge " + edge_name(a, b) + " is not manifold (" + std::to_string(j - i) + " faces)");
+      throw_invalid_argument(name + ": edge " + edge_name(a, b) + " is not manifold (" + std::to_string(j - i) +
+                             " faces)");
     }
     if (j - i == 2 && half_edges[i].forward == half_edges[i + 1].forward) {
       throw_invalid_argument(name + ": faces " + std::to_string(half_edges[i].face) + " and " +
-                             std::to_string(half_edges[i + 1].face) + " at edge " + edge_name(a, b) + " are oriented differently");
+                             std::to_string(half_edges[i + 1].face) + " at edge " + edge_name(a, b) +
+                             " are oriented differently");
     }
     i = j;
   }
@@ -122,8 +129,8 @@ void validate_material_coordinates(const Topology& t, const std::string& name) {
     }
     (area > 0 ? first_positive : first_negative) = f;
     if (first_negative >= 0 && first_positive >= 0) {
-      throw_invalid_argument(name + ": material coordinates are folded: faces " + std::to_string(first_positive) + " and " +
-                             std::to_string(first_negative) + " have opposite orientation");
+      throw_invalid_argument(name + ": material coordinates are folded: faces " + std::to_string(first_positive) +
+                             " and " + std::to_string(first_negative) + " have opposite orientation");
     }
   }
   if (first_negative >= 0) {

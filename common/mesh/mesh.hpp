@@ -10,10 +10,11 @@
 
 namespace pleat {
 
-using Positions = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;     ///< (V x 3) metres, or m/s for velocities
+using Positions = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;  ///< (V x 3) metres, or m/s for velocities
 using Faces = Eigen::Matrix<std::uint32_t, Eigen::Dynamic, 3, Eigen::RowMajor>;  ///< (F x 3) vertex indices
-using Uv = Eigen::Matrix<float, Eigen::Dynamic, 2, Eigen::RowMajor>;            ///< (U x 2) material coordinates, metres
-using Edges = Eigen::Matrix<std::uint32_t, Eigen::Dynamic, 2, Eigen::RowMajor>;  ///< (E x 2) vertex indices, first < second
+using Uv = Eigen::Matrix<float, Eigen::Dynamic, 2, Eigen::RowMajor>;  ///< (U x 2) material coordinates, metres
+using Edges =
+    Eigen::Matrix<std::uint32_t, Eigen::Dynamic, 2, Eigen::RowMajor>;  ///< (E x 2) vertex indices, first < second
 
 /// What stays constant in a session: rest shape and connectivity. A seam vertex has several material coordinates,
 /// therefore the material coordinates have faces of their own, in the same face order.

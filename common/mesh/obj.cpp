@@ -115,7 +115,8 @@ class Reader {
   }
 
   Topology finish() {
-    if (with_uv_ && without_uv_) throw_invalid_argument(name_ + ": some face corners have material coordinates (`vt`) and some do not");
+    if (with_uv_ && without_uv_)
+      throw_invalid_argument(name_ + ": some face corners have material coordinates (`vt`) and some do not");
     Topology t;
     const auto faces = static_cast<Eigen::Index>(corners_.size() / 3);
     t.rest_positions = Eigen::Map<Positions>(positions_.data(), static_cast<Eigen::Index>(positions_.size() / 3), 3);
@@ -170,7 +171,8 @@ void write_obj(const std::filesystem::path& path, const Topology& topology, cons
                  static_cast<double>(positions(v, 1)), static_cast<double>(positions(v, 2)));
   }
   for (Eigen::Index u = 0; u < topology.uv.rows(); ++u) {
-    std::fprintf(file.get(), "vt %.9g %.9g\n", static_cast<double>(topology.uv(u, 0)), static_cast<double>(topology.uv(u, 1)));
+    std::fprintf(file.get(), "vt %.9g %.9g\n", static_cast<double>(topology.uv(u, 0)),
+                 static_cast<double>(topology.uv(u, 1)));
   }
   const bool with_uv = topology.uv_faces.rows() > 0;
   for (Eigen::Index f = 0; f < topology.face_count(); ++f) {

@@ -22,7 +22,8 @@ Topology read_obj(const std::filesystem::path& path, const ObjLimits& limits = {
 Topology read_obj(std::istream& stream, const std::string& name, const ObjLimits& limits = {});
 
 /// Writes positions (default: the rest positions), material coordinates and faces with 9 significant digits, so that
-/// reading gives the same floats. Throws kResourceExhausted if the disk is full, kInvalidArgument if it can't be opened.
+/// reading gives the same floats. Throws kResourceExhausted if the disk is full, kInvalidArgument if it can't be
+/// opened.
 void write_obj(const std::filesystem::path& path, const Topology& topology);
 void write_obj(const std::filesystem::path& path, const Topology& topology, const Positions& positions);
 

@@ -56,7 +56,8 @@ Midpoints split(Matrix& values, Faces& faces) {
 }  // namespace
 
 Subdivision subdivide(const Topology& coarse, int rounds) {
-  if (rounds < 0 || rounds > 5) throw_invalid_argument("subdivision rounds must be 0 to 5, not " + std::to_string(rounds));
+  if (rounds < 0 || rounds > 5)
+    throw_invalid_argument("subdivision rounds must be 0 to 5, not " + std::to_string(rounds));
   Subdivision s;
   s.fine = coarse;
   s.feature_vertices.resize(static_cast<std::size_t>(coarse.vertex_count()));
@@ -101,10 +102,12 @@ Positions upsample(const Subdivision& s, const Faces& coarse_faces, const Positi
   Positions fine(s.fine.vertex_count(), 3);
   for (Eigen::Index v = 0; v < fine.rows(); ++v) {
     const auto face = coarse_faces.row(s.parent_face[static_cast<std::size_t>(v)]);
-    fine.row(v) = s.barycentric(v, 0) * coarse_positions.row(face(0)) + s.barycentric(v, 1) * coarse_positions.row(face(1)) +
+    fine.row(v) = s.barycentric(v, 0) * coarse_positions.row(face(0)) +
+                  s.barycentric(v, 1) * coarse_positions.row(face(1)) +
                   s.barycentric(v, 2) * coarse_positions.row(face(2));
   }
-  for (Eigen::Index v = 0; v < coarse_count; ++v) fine.row(s.feature_vertices[static_cast<std::size_t>(v)]) = coarse_positions.row(v);
+  for (Eigen::Index v = 0; v < coarse_count; ++v)
+    fine.row(s.feature_vertices[static_cast<std::size_t>(v)]) = coarse_positions.row(v);
   return fine;
 }
 

@@ -14,7 +14,7 @@ struct Subdivision {
   std::vector<std::uint32_t> feature_vertices;  ///< (V_coarse) indices into the fine mesh
 
   /// Each fine vertex as a combination of the corners of one coarse face.
-  std::vector<std::uint32_t> parent_face;                      ///< (V_fine) coarse face
+  std::vector<std::uint32_t> parent_face;                                ///< (V_fine) coarse face
   Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> barycentric;  ///< (V_fine x 3), rows sum to 1
 };
 
