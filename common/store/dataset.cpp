@@ -1,0 +1,268 @@
+#include "common/store/dataset.hpp"
+
+#include <algorithm>
+#include <sstream>
+
+#include "common/store/hdf5.hpp"
+#include "common/store/recording.hpp"
+
+namespace pleat {
+namespace {
+
+constexpr const char* kDatasetFormat = "pleat.dataset";
+constexpr const char* kSequenceFormat = "pleat.sequence";
+
+void check_name(const std::string& name) {
+  const auto allowed = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '.' || c == '_' ||
+           c == '-';
+  };
+  if (name.empty() || name.front() == '.' || name.size() > 200 || !std::all_of(name.begin(), name.end(), allowed)) {
+    throw_invalid_argument("sequence name '" + name + "' must consist of letters, digits, '.', '_' and '-'");
+  }
+}
+
+std::filesystem::path sequence_path(const std::filesystem::path& folder, const std::string& name) {
+  return folder / "sequences" / (name + ".h5");
+}
+
+std::vector<double> read_times(const hdf5::File& file, std::uint64_t first, std::uint64_t last) {
+  file.extents("/time_s", 1, store::kMaxFrames);
+  std::vector<double> times(last - first);
+  file.rows("/time_s").read(H5T_NATIVE_DOUBLE, first, times.size(), times.data());
+  return times;
+}
+
+}  // namespace
+
+void write_dataset_master(const std::filesystem::path& folder, const DatasetMaster& master) {
+  for (const std::string& name : master.sequences) check_name(name);
+  std::error_code error;
+  std::filesystem::create_directories(folder / "sequences", error);
+  if (error) throw_invalid_argument(folder.string() + ": can't be made (" + error.message() + ")");
+  const std::filesystem::path path = folder / "dataset.h5";
+  const std::filesystem::path partial = path.string() + ".partial";
+  const auto lock = hdf5::lock();
+  hdf5::File file = hdf5::File::create(partial);
+  file.set_attribute("/", "format", std::string(kDatasetFormat));
+  file.set_attribute("/", "version", std::uint64_t{kStoreVersion});
+  file.set_attribute("/", "units", std::string("m, s, Y up"));
+  file.set_attribute("/", "time_step_s", master.time_step_s);
+  file.set_attribute("/", "frame_time_s", master.frame_time_s);
+  file.set_attribute("/", "seed", master.seed);
+  file.set_attribute("/", "git_revision", master.git_revision);
+  store::write_topologies(file, master.topology);
+  if (master.normalization) {
+    file.write_array("/normalization/minimum", H5T_NATIVE_FLOAT, {9}, master.normalization->minimum.data());
+    file.write_array("/normalization/maximum", H5T_NATIVE_FLOAT, {9}, master.normalization->maximum.data());
+  }
+  file.make_group("/sequences");
+  for (const std::string& name : master.sequences) {
+    const std::string target = "sequences/" + name + ".h5";
+    const std::string link = "/sequences/" + name;
+    if (H5Lcreate_external(target.c_str(), "/", file.id(), link.c_str(), H5P_DEFAULT, H5P_DEFAULT) < 0) {
+      hdf5::fail(ErrorCode::kInternal, partial, "can't link " + name);
+    }
+  }
+  file.close();
+  file.rename(path);
+}
+
+struct SequenceWriter::State {
+  SequenceOptions options;
+  store::Recording recording;
+};
+
+namespace {
+
+store::Recording::Plan sequence_plan(const std::filesystem::path& folder, const SequenceOptions& options) {
+  check_name(options.name);
+  if (options.coarse_vertices <= 0 || options.fine_vertices <= 0) {
+    throw_invalid_argument("sequence " + options.name + ": the meshes have no vertices");
+  }
+  store::Recording::Plan plan;
+  plan.path = sequence_path(folder, options.name);
+  plan.frames = options.frames;
+  plan.resume = true;
+  plan.deflate = options.deflate;
+  using Type = store::Array::Type;
+  // Small arrays first, so that a disk that fills up hurts the large ones' last frames and not every frame.
+  plan.arrays = {{"/time_s", Type::kDouble, {}, false}};
+  const auto obstacles = store::obstacle_arrays(options.obstacles, options.obstacle_vertices);
+  plan.arrays.insert(plan.arrays.end(), obstacles.begin(), obstacles.end());
+  plan.arrays.push_back({"/coarse/positions", Type::kFloat, {static_cast<hsize_t>(options.coarse_vertices), 3}, true});
+  plan.arrays.push_back({"/fine/positions", Type::kFloat, {static_cast<hsize_t>(options.fine_vertices), 3}, true});
+  std::ostringstream key;
+  key << options.name << '\n'
+      << options.split << '\n'
+      << options.scene << '\n'
+      << options.frames << '\n'
+      << options.topology_hash << '\n';
+  for (const store::Array& array : plan.arrays) {
+    key << array.name;
+    for (const hsize_t extent : array.row) key << ' ' << extent;
+    key << '\n';
+  }
+  plan.fingerprint = store::fingerprint(key.str());
+  plan.write_header = [options](hdf5::File& file) {
+    file.set_attribute("/", "format", std::string(kSequenceFormat));
+    file.set_attribute("/", "version", std::uint64_t{kStoreVersion});
+    file.set_attribute("/", "split", options.split);
+    file.set_attribute("/", "scene", options.scene);
+    file.set_attribute("/", "frames", options.frames);
+    file.set_attribute("/", "topology_hash", options.topology_hash);
+    store::write_obstacle_shapes(file, options.obstacles);
+  };
+  return plan;
+}
+
+}  // namespace
+
+SequenceWriter::SequenceWriter(const std::filesystem::path& folder, const SequenceOptions& options)
+    : state_(std::make_unique<State>(State{options, store::Recording(sequence_plan(folder, options))})) {}
+SequenceWriter::~SequenceWriter() = default;
+SequenceWriter::SequenceWriter(SequenceWriter&&) noexcept = default;
+SequenceWriter& SequenceWriter::operator=(SequenceWriter&&) noexcept = default;
+
+std::uint64_t SequenceWriter::frames_complete() const { return state_->recording.frames_complete(); }
+
+void SequenceWriter::append(const SequenceFrame& frame) {
+  const SequenceOptions& options = state_->options;
+  if (frame.coarse.rows() != options.coarse_vertices || frame.fine.rows() != options.fine_vertices) {
+    throw_invalid_argument("sequence " + options.name + ": " + std::to_string(frame.coarse.rows()) + " coarse and " +
+                           std::to_string(frame.fine.rows()) + " fine vertices given, " +
+                           std::to_string(options.coarse_vertices) + " and " + std::to_string(options.fine_vertices) +
+                           " planned");
+  }
+  std::vector<const void*> rows = {&frame.time_s};
+  const auto obstacles = store::obstacle_rows(options.obstacles, options.obstacle_vertices, frame.obstacles);
+  rows.insert(rows.end(), obstacles.begin(), obstacles.end());
+  rows.push_back(frame.coarse.data());
+  rows.push_back(frame.fine.data());
+  state_->recording.append(rows);
+}
+
+void SequenceWriter::finish() {
+  if (frames_complete() != state_->options.frames) {
+    throw Error(ErrorCode::kFailedPrecondition, "sequence " + state_->options.name + ": " +
+                                                    std::to_string(frames_complete()) + " of " +
+                                                    std::to_string(state_->options.frames) + " frames recorded");
+  }
+  state_->recording.finish();
+}
+
+struct DatasetReader::State {
+  std::filesystem::path folder;
+  DatasetMaster master;
+
+  struct Opened {
+    hdf5::File file;
+    bool finished;
+    std::uint64_t complete;
+  };
+
+  /// The finished file, else the partial one. With hdf5::lock().
+  Opened open(const std::string& name) const {
+    if (std::find(master.sequences.begin(), master.sequences.end(), name) == master.sequences.end()) {
+      throw_not_found(folder.string() + ": no sequence " + name);
+    }
+    const std::filesystem::path path = sequence_path(folder, name);
+    const std::filesystem::path partial = path.string() + ".partial";
+    std::error_code error;
+    const bool finished = std::filesystem::exists(path, error);
+    hdf5::File file = hdf5::File::open(finished ? path : partial, false);
+    store::check_format(file, kSequenceFormat);
+    const std::uint64_t complete = file.integer_attribute("/", "frames_complete");
+    return {std::move(file), finished, complete};
+  }
+};
+
+DatasetReader::DatasetReader(const std::filesystem::path& folder) : state_(std::make_unique<State>()) {
+  state_->folder = folder;
+  const auto lock = hdf5::lock();
+  const hdf5::File file = hdf5::File::open(folder / "dataset.h5", false);
+  store::check_format(file, kDatasetFormat);
+  DatasetMaster& master = state_->master;
+  master.time_step_s = file.number_attribute("/", "time_step_s");
+  master.frame_time_s = file.number_attribute("/", "frame_time_s");
+  master.seed = file.integer_attribute("/", "seed");
+  master.git_revision = file.string_attribute("/", "git_revision");
+  master.topology = store::read_topologies(file);
+  if (file.exists("/normalization/minimum")) {
+    Normalization normalization;
+    for (const auto& [name, values] : {std::pair{"/normalization/minimum", &normalization.minimum},
+                                       std::pair{"/normalization/maximum", &normalization.maximum}}) {
+      if (file.extents(name, 1, 9)[0] != 9)
+        throw_data_loss(file.path().string() + ": " + name + " should have 9 values");
+      file.rows(name).read(H5T_NATIVE_FLOAT, 0, 9, values->data());
+    }
+    master.normalization = normalization;
+  }
+  master.sequences = file.list("/sequences");
+  for (const std::string& name : master.sequences) {
+    try {
+      check_name(name);
+    } catch (const Error& error) {
+      throw_data_loss(file.path().string() + ": " + error.what());
+    }
+  }
+}
+
+DatasetReader::~DatasetReader() = default;
+
+const DatasetMaster& DatasetReader::master() const { return state_->master; }
+const std::filesystem::path& DatasetReader::folder() const { return state_->folder; }
+
+std::vector<SequenceInfo> DatasetReader::sequences() const {
+  std::vector<SequenceInfo> infos;
+  for (const std::string& name : state_->master.sequences) {
+    const std::filesystem::path path = sequence_path(state_->folder, name);
+    std::error_code error;
+    if (!std::filesystem::exists(path, error) && !std::filesystem::exists(path.string() + ".partial", error)) continue;
+    const auto lock = hdf5::lock();
+    const State::Opened opened = state_->open(name);
+    SequenceInfo info;
+    info.name = name;
+    info.split = opened.file.string_attribute("/", "split");
+    info.scene = opened.file.string_attribute("/", "scene");
+    info.frames = opened.file.integer_attribute("/", "frames");
+    info.topology_hash = opened.file.string_attribute("/", "topology_hash");
+    info.frames_complete = opened.complete;
+    info.finished = opened.finished;
+    info.obstacles = store::read_obstacle_shapes(opened.file).shapes;
+    infos.push_back(std::move(info));
+  }
+  return infos;
+}
+
+std::vector<Positions> DatasetReader::coarse(const std::string& sequence, std::uint64_t first,
+                                             std::uint64_t last) const {
+  const auto lock = hdf5::lock();
+  const State::Opened opened = state_->open(sequence);
+  store::check_range(opened.file, first, last, opened.complete);
+  return store::read_positions(opened.file, "/coarse/positions", topology().coarse.vertex_count(), first, last);
+}
+
+std::vector<Positions> DatasetReader::fine(const std::string& sequence, std::uint64_t first, std::uint64_t last) const {
+  const auto lock = hdf5::lock();
+  const State::Opened opened = state_->open(sequence);
+  store::check_range(opened.file, first, last, opened.complete);
+  return store::read_positions(opened.file, "/fine/positions", topology().fine.vertex_count(), first, last);
+}
+
+std::vector<double> DatasetReader::times(const std::string& sequence, std::uint64_t first, std::uint64_t last) const {
+  const auto lock = hdf5::lock();
+  const State::Opened opened = state_->open(sequence);
+  store::check_range(opened.file, first, last, opened.complete);
+  return read_times(opened.file, first, last);
+}
+
+std::vector<std::vector<ObstacleFrame>> DatasetReader::obstacles(const std::string& sequence, std::uint64_t first,
+                                                                 std::uint64_t last) const {
+  const auto lock = hdf5::lock();
+  const State::Opened opened = state_->open(sequence);
+  store::check_range(opened.file, first, last, opened.complete);
+  return store::read_obstacles(opened.file, store::read_obstacle_shapes(opened.file), first, last);
+}
+
+}  // namespace pleat
