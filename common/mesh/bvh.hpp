@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <utility>
@@ -59,6 +60,44 @@ class Bvh {
 
   /// All pairs (i < j) of elements whose boxes overlap. The pool may be null.
   std::vector<Pair> self_pairs(ThreadPool* pool = nullptr) const;
+
+  /// Calls visit(i, j), i < j, for every pair of self_pairs until it returns false. Needs no memory per pair, so that a
+  /// mesh that has collapsed into one place can't exhaust it. Returns whether all pairs were visited.
+  template <typename Visit>
+  bool visit_self_pairs(const Visit& visit) const {
+    if (empty()) return true;
+    std::vector<Pair> stack{{0, 0}};
+    while (!stack.empty()) {
+      const auto [p, q] = stack.back();
+      stack.pop_back();
+      if (p == q) {
+        if (nodes_[p].element != kInner) continue;
+        const std::uint32_t left = p + 1, right = nodes_[p].right;
+        stack.push_back({left, right});
+        stack.push_back({right, right});
+        stack.push_back({left, left});
+        continue;
+      }
+      if (!boxes_[p].overlaps(boxes_[q])) continue;
+      const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
+      if (leaf_p && leaf_q) {
+        const auto [i, j] = std::minmax(nodes_[p].element, nodes_[q].element);
+        if (!visit(i, j)) return false;
+      } else if (leaf_q) {
+        stack.push_back({nodes_[p].right, q});
+        stack.push_back({p + 1, q});
+      } else if (leaf_p) {
+        stack.push_back({p, nodes_[q].right});
+        stack.push_back({p, q + 1});
+      } else {
+        stack.push_back({nodes_[p].right, nodes_[q].right});
+        stack.push_back({nodes_[p].right, q + 1});
+        stack.push_back({p + 1, nodes_[q].right});
+        stack.push_back({p + 1, q + 1});
+      }
+    }
+    return true;
+  }
 
   /// All pairs (i of this, j of other) whose boxes overlap.
   std::vector<Pair> pairs(const Bvh& other) const;
