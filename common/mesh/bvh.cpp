@@ -102,7 +102,7 @@ std::vector<Bvh::Pair> Bvh::self_pairs(ThreadPool* pool) const {
   std::vector<Pair> tasks{{0, 0}};
   for (int round = 0; round < 6; ++round) {
     std::vector<Pair> next;
-    for (const auto [p, q] : tasks) {
+    for (const auto& [p, q] : tasks) {
       const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
       if (p == q && !leaf_p) {
         next.push_back({p + 1, p + 1});

@@ -1,0 +1,70 @@
+// Symmetric sparse matrix of 3x3 blocks with a fixed pattern, and the conjugate gradients on it.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "common/base/parallel.hpp"
+
+namespace pleat::simulation {
+
+/// Four floats in a vector register; the fourth is unused.
+using Float4 = float __attribute__((vector_size(16)));
+
+/// Vertices are handled in ranges of this many, whatever the number of threads: sums are added in range order.
+inline constexpr std::size_t kVertexGrain = 1024;
+
+/// Float blocks, column-major, 9 floats each. Every off-diagonal pair is stored in both rows.
+class BlockMatrix {
+ public:
+  BlockMatrix() = default;
+  /// pairs: the off-diagonal blocks (i < j), each once. O(n + m log m).
+  BlockMatrix(std::size_t vertices, std::span<const std::pair<std::uint32_t, std::uint32_t>> pairs);
+
+  std::size_t size() const { return offsets_.size() - 1; }
+
+  /// Where pair p (in the constructor's order) is stored: its block in row i and the transposed one in row j.
+  std::uint32_t upper_slot(std::size_t p) const { return slots_[p].first; }
+  std::uint32_t lower_slot(std::size_t p) const { return slots_[p].second; }
+
+  float* block(std::uint32_t slot) { return values_.data() + 9 * static_cast<std::size_t>(slot); }
+  const float* block(std::uint32_t slot) const { return values_.data() + 9 * static_cast<std::size_t>(slot); }
+  float* diagonal(std::size_t i) { return diagonal_.data() + 9 * i; }
+  const float* diagonal(std::size_t i) const { return diagonal_.data() + 9 * i; }
+  std::uint32_t row_begin(std::size_t i) const { return offsets_[i]; }
+  std::uint32_t row_end(std::size_t i) const { return offsets_[i + 1]; }
+  std::uint32_t column(std::uint32_t slot) const { return columns_[slot]; }
+
+  /// Row i of A x.
+  Float4 multiply_row(std::size_t i, const Float4* x) const {
+    Float4 sum = apply(diagonal(i), x[i]);
+    for (std::uint32_t slot = offsets_[i]; slot < offsets_[i + 1]; ++slot) sum += apply(block(slot), x[columns_[slot]]);
+    return sum;
+  }
+
+  /// block * x.
+  static Float4 apply(const float* block, Float4 x) {
+    return load(block) * x[0] + load(block + 3) * x[1] + load(block + 6) * x[2];
+  }
+
+ private:
+  // Reads one float past the third column's end; values_ and diagonal_ are padded for the last block.
+  static Float4 load(const float* p) {
+    Float4 v;
+    __builtin_memcpy(&v, p, sizeof(v));
+    return v;
+  }
+
+  std::vector<std::uint32_t> offsets_{0};
+  std::vector<std::uint32_t> columns_;
+  std::vector<float> values_;
+  std::vector<float> diagonal_;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> slots_;
+};
+
+/// Inverse of a symmetric positive definite 3x3 block; zero if it is not invertible.
+void invert_block(const float* block, float* inverse);
+
+}  // namespace pleat::simulation

@@ -1,0 +1,120 @@
+#include "services/simulation/cloth.hpp"
+
+#include <chrono>
+#include <utility>
+
+namespace pleat::simulation {
+namespace {
+
+using Eigen::Vector3d;
+using Clock = std::chrono::steady_clock;
+
+double milliseconds(Clock::time_point from, Clock::time_point to) {
+  return std::chrono::duration<double, std::milli>(to - from).count();
+}
+
+Points rest_points(const Topology& mesh) {
+  Points points(static_cast<std::size_t>(mesh.vertex_count()));
+  for (std::size_t v = 0; v < points.size(); ++v) {
+    points[v] = mesh.rest_positions.row(static_cast<Eigen::Index>(v)).cast<double>().transpose();
+  }
+  return points;
+}
+
+}  // namespace
+
+Cloth::Cloth(const Topology& mesh, Points initial, std::vector<std::vector<std::uint32_t>> handle_vertices,
+             const Scene& scene, const Topology* coarse, std::span<const std::uint32_t> feature_vertices)
+    : scene_(scene),
+      dynamics_(mesh, scene, coarse, feature_vertices),
+      contact_(mesh, rest_points(mesh), dynamics_.areas(), scene),
+      positions_(std::move(initial)) {
+  velocities_.assign(positions_.size(), scene.velocity);
+  const Points obstacles = contact_.obstacle_particles(0);
+  positions_.insert(positions_.end(), obstacles.begin(), obstacles.end());
+  velocities_.resize(positions_.size(), Vector3d::Zero());
+  for (auto& vertices : handle_vertices) {
+    handles_.emplace_back();
+    handles_.back().vertices = std::move(vertices);
+  }
+}
+
+void Cloth::check_start(ThreadPool& pool) { contact_.check_start(positions_, pool); }
+
+// The pins of the handles for the step that ends at time_s + step_s. A handle takes hold of its vertices where they are
+// at its start and lets go at its end.
+void Cloth::collect_pins(double time_s, double step_s) {
+  pins_.clear();
+  for (std::size_t h = 0; h < handles_.size(); ++h) {
+    const Handle& script = scene_.handles[h];
+    HandleState& state = handles_[h];
+    // Half a step of tolerance: step times are sums.
+    const bool active = time_s + 0.5 * step_s >= script.start_s && time_s + 0.5 * step_s < script.end_s;
+    if (active && !state.active) {
+      state.anchors.clear();
+      state.pivot.setZero();
+      for (const std::uint32_t v : state.vertices) {
+        state.anchors.push_back(positions_[v]);
+        state.pivot += positions_[v] / static_cast<double>(state.vertices.size());
+      }
+    }
+    state.active = active;
+    if (!active) continue;
+    const Pose pose = pose_at(script.motion, state.pivot, time_s + step_s);
+    for (std::size_t i = 0; i < state.vertices.size(); ++i) {
+      pins_.push_back({state.vertices[i], pose.apply(state.anchors[i]), script.stiffness, script.hard});
+    }
+  }
+}
+
+void Cloth::step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool) {
+  const auto start = Clock::now();
+  collect_pins(time_s, step_s);
+  inverse_masses_.resize(vertex_count());
+  for (std::size_t v = 0; v < vertex_count(); ++v) inverse_masses_[v] = 1 / dynamics_.masses()[v];
+  for (const Pin& pin : pins_) {
+    if (pin.hard) inverse_masses_[pin.vertex] = 0;
+  }
+  pins_.insert(pins_.end(), springs.begin(), springs.end());
+
+  const Points obstacles = contact_.obstacle_particles(time_s + step_s);
+  for (std::size_t o = 0; o < obstacles.size(); ++o) {
+    const std::size_t particle = vertex_count() + o;
+    velocities_[particle] = (obstacles[o] - positions_[particle]) / step_s;
+  }
+  const auto forces = contact_.repulsion(positions_, velocities_, dynamics_.masses(), step_s, pool);
+  const auto repulsion_done = Clock::now();
+
+  Dynamics::Step step;
+  step.length_s = step_s;
+  step.damping_s = scene_.damping_s;
+  step.gravity = scene_.gravity;
+  step.wind = scene_.wind;
+  step.pins = pins_;
+  step.contacts = forces;
+  report_.solver_iterations += static_cast<std::uint64_t>(dynamics_.solve(positions_, velocities_, step, pool));
+  const auto solve_done = Clock::now();
+
+  Points end(positions_.size());
+  for (std::size_t i = 0; i < vertex_count(); ++i) end[i] = positions_[i] + step_s * velocities_[i];
+  for (std::size_t o = 0; o < obstacles.size(); ++o) end[vertex_count() + o] = obstacles[o];
+  const Resolution resolution = contact_.resolve(positions_, end, inverse_masses_, pool);
+  if (resolution.impacts > 0) {
+    for (std::size_t i = 0; i < vertex_count(); ++i) velocities_[i] = (end[i] - positions_[i]) / step_s;
+  }
+  positions_ = std::move(end);
+
+  const auto done = Clock::now();
+  report_.contacts += forces.size();
+  report_.impacts += resolution.impacts;
+  report_.rigid_zones += resolution.rigid_zones;
+  report_.cut_steps += resolution.cut ? 1 : 0;
+  report_.assembly_ms += dynamics_.assembly_ms();
+  report_.solve_ms += dynamics_.solve_ms();
+  report_.contact_ms += milliseconds(start, repulsion_done) + milliseconds(solve_done, done);
+  report_.total_ms += milliseconds(start, done);
+}
+
+ClothReport Cloth::take_report() { return std::exchange(report_, {}); }
+
+}  // namespace pleat::simulation

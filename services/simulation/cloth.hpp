@@ -1,0 +1,80 @@
+// One simulated mesh: its state, and one time step of it.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/parallel.hpp"
+#include "common/mesh/subdivision.hpp"
+#include "services/simulation/contact.hpp"
+#include "services/simulation/dynamics.hpp"
+#include "services/simulation/scene.hpp"
+
+namespace pleat::simulation {
+
+/// A handle's vertices on a certain mesh, and where they were when it took hold.
+struct HandleState {
+  std::vector<std::uint32_t> vertices;
+  bool active = false;
+  std::vector<Eigen::Vector3d> anchors;
+  Eigen::Vector3d pivot = Eigen::Vector3d::Zero();
+};
+
+/// Sums over the steps since take_report().
+struct ClothReport {
+  std::uint64_t contacts = 0, impacts = 0, rigid_zones = 0, cut_steps = 0, solver_iterations = 0;
+  double total_ms = 0, assembly_ms = 0, solve_ms = 0, contact_ms = 0;
+};
+
+/// `scene` must outlive it.
+class Cloth {
+ public:
+  /// mesh: rest shape; initial: (V) positions at time 0; handle_vertices: per handle of the scene, indices in mesh.
+  /// The last two add the second level of a tracked simulation.
+  Cloth(const Topology& mesh, Points initial, std::vector<std::vector<std::uint32_t>> handle_vertices,
+        const Scene& scene, const Topology* coarse = nullptr, std::span<const std::uint32_t> feature_vertices = {});
+
+  /// Throws kInvalidArgument unless the initial state is clean.
+  void check_start(ThreadPool& pool);
+
+  /// Advances from `time_s` by one step. `springs` are added to the handles.
+  void step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool);
+
+  std::size_t vertex_count() const { return dynamics_.vertex_count(); }
+  /// All collision particles: the cloth's vertices first, then the obstacles (ContactSystem).
+  const Points& particles() const { return positions_; }
+  std::span<const Eigen::Vector3d> positions() const { return std::span(positions_).first(vertex_count()); }
+  const ContactSystem& contact() const { return contact_; }
+  const Dynamics& dynamics() const { return dynamics_; }
+  ClothReport take_report();
+
+  /// The state that a step changes, for check-points.
+  template <typename Archive>
+  void archive(Archive& archive) {
+    archive.vectors(positions_);
+    archive.vectors(velocities_);
+    archive.floats(dynamics_.reference_angles());
+    archive.registers(dynamics_.last_change());
+    for (HandleState& handle : handles_) {
+      archive.flag(handle.active);
+      archive.vectors(handle.anchors);
+      archive.vector(handle.pivot);
+    }
+  }
+
+ private:
+  void collect_pins(double time_s, double step_s);
+
+  const Scene& scene_;
+  Dynamics dynamics_;
+  ContactSystem contact_;
+  Points positions_, velocities_;  // of all particles
+  std::vector<HandleState> handles_;
+  std::vector<Pin> pins_;
+  std::vector<double> inverse_masses_;
+  ClothReport report_;
+};
+
+}  // namespace pleat::simulation

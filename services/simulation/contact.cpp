@@ -1,0 +1,544 @@
+#include "services/simulation/contact.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "common/base/error.hpp"
+
+namespace pleat::simulation {
+namespace {
+
+using Eigen::Vector3d;
+
+// Metres. A pair that comes closer than kGap has collided; impacts leave it at 5 kGap to a tenth of the thickness.
+constexpr double kGap = 2e-5;
+constexpr double kMinimumClearance = 1e-6;
+constexpr int kProjectionRounds = 24;
+constexpr int kRigidRounds = 40;
+
+// The quarter of the mean edge keeps the neighbours of a vertex out of its repulsion layer.
+double repulsion_thickness(const Topology& cloth, const Points& rest, double wanted) {
+  double sum = 0;
+  for (Eigen::Index f = 0; f < cloth.face_count(); ++f) {
+    for (int k = 0; k < 3; ++k) sum += (rest[cloth.faces(f, k)] - rest[cloth.faces(f, (k + 1) % 3)]).norm();
+  }
+  return std::min(wanted, 0.25 * sum / (3.0 * static_cast<double>(cloth.face_count())));
+}
+
+Vector3d rest_center(const Obstacle& obstacle) {
+  if (obstacle.radius > 0) return obstacle.center;
+  return obstacle.mesh.rest_positions.cast<double>().colwise().mean().transpose() + obstacle.center;
+}
+
+// Whether segment p-q meets triangle a,b,c (Moeller and Trumbore 1997); touching counts.
+bool segment_meets_triangle(const Vector3d& p, const Vector3d& q, const Vector3d& a, const Vector3d& b,
+                            const Vector3d& c) {
+  const Vector3d direction = q - p, e1 = b - a, e2 = c - a, s = p - a;
+  const Vector3d cross = direction.cross(e2);
+  const double determinant = e1.dot(cross);
+  if (std::abs(determinant) <= 1e-14 * direction.norm() * e1.norm() * e2.norm()) return false;  // coplanar
+  const double u = s.dot(cross) / determinant;
+  const Vector3d other = s.cross(e1);
+  const double v = direction.dot(other) / determinant, t = e2.dot(other) / determinant;
+  return u >= 0 && v >= 0 && u + v <= 1 && t >= 0 && t <= 1;
+}
+
+// Winding number of a closed mesh about a point: +-1 inside, 0 outside (van Oosterom and Strackee 1983).
+double winding_number(const Vector3d& p, const Points& x, std::span<const std::array<std::uint32_t, 3>> faces) {
+  double sum = 0;
+  for (const auto& face : faces) {
+    const Vector3d a = x[face[0]] - p, b = x[face[1]] - p, c = x[face[2]] - p;
+    const double la = a.norm(), lb = b.norm(), lc = c.norm();
+    sum += std::atan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb);
+  }
+  return sum / (2 * std::numbers::pi);
+}
+
+class UnionFind {
+ public:
+  explicit UnionFind(std::size_t n) : parent_(n) { std::iota(parent_.begin(), parent_.end(), 0u); }
+  std::uint32_t root(std::uint32_t i) {
+    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
+    return i;
+  }
+  void join(std::uint32_t a, std::uint32_t b) {
+    a = root(a);
+    b = root(b);
+    parent_[std::max(a, b)] = std::min(a, b);
+  }
+
+ private:
+  std::vector<std::uint32_t> parent_;
+};
+
+}  // namespace
+
+ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vector<double> areas, const Scene& scene)
+    : scene_(scene),
+      cloth_count_(static_cast<std::size_t>(cloth.vertex_count())),
+      cloth_faces_(static_cast<std::size_t>(cloth.face_count())),
+      areas_(std::move(areas)) {
+  thickness_ = repulsion_thickness(cloth, rest, scene.contact.thickness);
+  slack_ = 0.1 * thickness_;
+  std::size_t particles = 0;
+  std::vector<char> vertex_owned;
+  const auto add_mesh = [&](Eigen::Index vertices, const Faces& faces) {
+    const auto first = static_cast<std::uint32_t>(particles);
+    const auto first_edge = static_cast<std::uint32_t>(edges_.size());
+    const Connectivity connectivity = build_connectivity(vertices, faces);
+    std::vector<char> edge_owned(connectivity.edges.size(), 0);
+    vertex_owned.resize(particles + static_cast<std::size_t>(vertices), 0);
+    for (const Edge& edge : connectivity.edges) edges_.push_back({first + edge.v0, first + edge.v1});
+    for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+      std::array<std::uint32_t, 3> face{}, own_edges{kNone, kNone, kNone}, own_vertices{kNone, kNone, kNone};
+      for (std::size_t k = 0; k < 3; ++k) {
+        face[k] = first + faces(f, static_cast<Eigen::Index>(k));
+        const std::uint32_t edge = connectivity.face_edges[static_cast<std::size_t>(f)][k];
+        if (!std::exchange(edge_owned[edge], 1)) own_edges[k] = first_edge + edge;
+        if (!std::exchange(vertex_owned[face[k]], 1)) own_vertices[k] = face[k];
+      }
+      faces_.push_back(face);
+      own_edges_.push_back(own_edges);
+      own_vertices_.push_back(own_vertices);
+    }
+    particles += static_cast<std::size_t>(vertices);
+  };
+  add_mesh(cloth.vertex_count(), cloth.faces);
+  for (std::size_t o = 0; o < scene.obstacles.size(); ++o) {
+    if (scene.obstacles[o].radius > 0) {
+      sphere_obstacles_.push_back(o);
+    } else {
+      mesh_obstacles_.push_back(o);
+      add_mesh(scene.obstacles[o].mesh.vertex_count(), scene.obstacles[o].mesh.faces);
+    }
+  }
+  first_sphere_ = particles;
+  particle_count_ = particles + sphere_obstacles_.size();
+
+  // The hierarchy is built over the rest shape, where near on the surface means near in space.
+  std::vector<Box> boxes(cloth_faces_);
+  for (std::size_t f = 0; f < cloth_faces_; ++f) {
+    for (const std::uint32_t v : faces_[f]) boxes[f].extend(rest[v]);
+  }
+  cloth_bvh_ = Bvh(boxes);
+  if (faces_.size() > cloth_faces_) {
+    const Points obstacles = obstacle_particles(0);
+    std::vector<Box> obstacle_boxes(faces_.size() - cloth_faces_);
+    for (std::size_t f = cloth_faces_; f < faces_.size(); ++f) {
+      for (const std::uint32_t v : faces_[f]) obstacle_boxes[f - cloth_faces_].extend(obstacles[v - cloth_count_]);
+    }
+    obstacle_bvh_ = Bvh(obstacle_boxes);
+  }
+  face_areas_.assign(faces_.size(), 1e30);
+  for (std::size_t f = 0; f < cloth_faces_; ++f) {
+    const auto& v = faces_[f];
+    face_areas_[f] = (rest[v[1]] - rest[v[0]]).cross(rest[v[2]] - rest[v[0]]).norm() / 2;
+  }
+  vertex_boxes_.resize(particle_count_);
+  face_boxes_.resize(faces_.size());
+}
+
+Points ContactSystem::obstacle_particles(double time_s) const {
+  Points points;
+  points.reserve(particle_count_ - cloth_count_);
+  for (const std::size_t o : mesh_obstacles_) {
+    const Obstacle& obstacle = scene_.obstacles[o];
+    const Pose pose = pose_at(obstacle.motion, rest_center(obstacle), time_s);
+    for (Eigen::Index v = 0; v < obstacle.mesh.vertex_count(); ++v) {
+      points.push_back(pose.apply(obstacle.mesh.rest_positions.row(v).cast<double>().transpose() + obstacle.center));
+    }
+  }
+  for (const std::size_t o : sphere_obstacles_) {
+    const Obstacle& obstacle = scene_.obstacles[o];
+    points.push_back(pose_at(obstacle.motion, obstacle.center, time_s).apply(obstacle.center));
+  }
+  return points;
+}
+
+ClosestPoints ContactSystem::closest(const Pair& pair, const Points& x) const {
+  const auto& v = pair.v;
+  return pair.kind == Kind::kEdgeEdge ? closest_edge_edge(x[v[0]], x[v[1]], x[v[2]], x[v[3]])
+                                      : closest_vertex_face(x[v[0]], x[v[1]], x[v[2]], x[v[3]]);
+}
+
+std::optional<Collision> ContactSystem::collide(const Pair& pair, const Points& start, const Points& end) const {
+  const auto& v = pair.v;
+  const std::array<Vector3d, 4> from{start[v[0]], start[v[1]], start[v[2]], start[v[3]]};
+  const std::array<Vector3d, 4> to{end[v[0]], end[v[1]], end[v[2]], end[v[3]]};
+  const CcdOptions options{static_cast<double>(pair.minimum), kGap, 256};
+  return pair.kind == Kind::kEdgeEdge ? edge_edge_ccd(from, to, options) : vertex_face_ccd(from, to, options);
+}
+
+void ContactSystem::keep_if_close(const Pair& pair, const Points& start, const Points& end,
+                                  std::vector<Pair>& out) const {
+  const auto& v = pair.v;
+  const std::array<Vector3d, 4> from{start[v[0]], start[v[1]], start[v[2]], start[v[3]]};
+  const std::array<Vector3d, 4> to{end[v[0]], end[v[1]], end[v[2]], end[v[3]]};
+  const double bound = motion_bound(from, to, pair.kind == Kind::kEdgeEdge ? 2 : 1);
+  // With every vertex within slack_ of `end`, distances change by 2 slack_ and bounds by 4 slack_ at most.
+  const double reach =
+      static_cast<double>(pair.minimum) + std::max(bound + 6 * slack_ + 2 * kGap, thickness_ + 2 * slack_);
+  if (closest(pair, end).squared_distance <= reach * reach) out.push_back(pair);
+}
+
+void ContactSystem::add_face_pair(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end,
+                                  std::vector<Pair>& out) const {
+  const auto vertices_against_face = [&](std::uint32_t owner, std::uint32_t face) {
+    const auto& corners = faces_[face];
+    for (const std::uint32_t v : own_vertices_[owner]) {
+      if (v == kNone || v == corners[0] || v == corners[1] || v == corners[2]) continue;
+      if (!vertex_boxes_[v].overlaps(face_boxes_[face])) continue;
+      keep_if_close({{v, corners[0], corners[1], corners[2]}, Kind::kVertexFace, 0}, start, end, out);
+    }
+  };
+  vertices_against_face(f, g);
+  vertices_against_face(g, f);
+  for (const std::uint32_t e : own_edges_[f]) {
+    if (e == kNone) continue;
+    const auto [a, b] = edges_[e];
+    Box box = vertex_boxes_[a];
+    box.extend(vertex_boxes_[b]);
+    if (!box.overlaps(face_boxes_[g])) continue;
+    for (const std::uint32_t other : own_edges_[g]) {
+      if (other == kNone) continue;
+      const auto [c, d] = edges_[other];
+      if (a == c || a == d || b == c || b == d) continue;
+      Box other_box = vertex_boxes_[c];
+      other_box.extend(vertex_boxes_[d]);
+      if (!box.overlaps(other_box)) continue;
+      keep_if_close({{a, b, c, d}, Kind::kEdgeEdge, 0}, start, end, out);
+    }
+  }
+}
+
+void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPool& pool) {
+  const double margin = 0.5 * thickness_ + slack_ + kGap;
+  pool.parallel_for(particle_count_, 4096, [&](std::size_t begin, std::size_t last) {
+    for (std::size_t i = begin; i < last; ++i) {
+      vertex_boxes_[i] = Box{};
+      vertex_boxes_[i].extend(start[i], margin);
+      vertex_boxes_[i].extend(end[i], margin);
+    }
+  });
+  pool.parallel_for(faces_.size(), 4096, [&](std::size_t begin, std::size_t last) {
+    for (std::size_t f = begin; f < last; ++f) {
+      Box box = vertex_boxes_[faces_[f][0]];
+      box.extend(vertex_boxes_[faces_[f][1]]);
+      box.extend(vertex_boxes_[faces_[f][2]]);
+      face_boxes_[f] = box;
+    }
+  });
+  cloth_bvh_.refit(std::span(face_boxes_).first(cloth_faces_));
+  std::vector<Bvh::Pair> face_pairs;
+  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(&pool);
+  if (!obstacle_bvh_.empty()) {
+    obstacle_bvh_.refit(std::span(face_boxes_).subspan(cloth_faces_));
+    for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
+      face_pairs.push_back({f, g + static_cast<std::uint32_t>(cloth_faces_)});
+    }
+  }
+  constexpr std::size_t kGrain = 4096;
+  std::vector<std::vector<Pair>> results((face_pairs.size() + kGrain - 1) / kGrain);
+  pool.parallel_for(face_pairs.size(), kGrain, [&](std::size_t begin, std::size_t last) {
+    auto& out = results[begin / kGrain];
+    for (std::size_t p = begin; p < last; ++p)
+      add_face_pair(face_pairs[p].first, face_pairs[p].second, start, end, out);
+  });
+  pairs_.clear();
+  for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
+  for (std::size_t s = 0; s < sphere_obstacles_.size(); ++s) {
+    const auto particle = static_cast<std::uint32_t>(first_sphere_ + s);
+    const double radius = scene_.obstacles[sphere_obstacles_[s]].radius;
+    Box box;
+    box.extend(start[particle], radius + margin);
+    box.extend(end[particle], radius + margin);
+    std::vector<std::uint32_t> near;
+    cloth_bvh_.query(box, [&](std::uint32_t f) { near.push_back(f); });
+    std::sort(near.begin(), near.end());
+    for (const std::uint32_t f : near) {
+      keep_if_close(
+          {{particle, faces_[f][0], faces_[f][1], faces_[f][2]}, Kind::kSphereFace, static_cast<float>(radius)}, start,
+          end, pairs_);
+    }
+  }
+  pairs_end_ = end;
+}
+
+void ContactSystem::check_start(const Points& x, ThreadPool& pool) {
+  find_pairs(x, x, pool);
+  const auto fail = [&](const std::string& message) {
+    throw_invalid_argument("scene '" + scene_.name + "': " + message + " at the start");
+  };
+  std::vector<Bvh::Pair> face_pairs;
+  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(&pool);
+  if (!obstacle_bvh_.empty()) {
+    for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
+      face_pairs.push_back({f, g + static_cast<std::uint32_t>(cloth_faces_)});
+    }
+  }
+  const auto edges_meet_face = [&](std::uint32_t f, std::uint32_t g) {
+    const auto& corners = faces_[g];
+    const auto in_g = [&](std::uint32_t v) { return v == corners[0] || v == corners[1] || v == corners[2]; };
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint32_t a = faces_[f][k], b = faces_[f][(k + 1) % 3];
+      if (in_g(a) || in_g(b)) continue;
+      if (segment_meets_triangle(x[a], x[b], x[corners[0]], x[corners[1]], x[corners[2]])) return true;
+    }
+    return false;
+  };
+  for (const auto& [f, g] : face_pairs) {
+    if (edges_meet_face(f, g) || edges_meet_face(g, f)) {
+      if (g < cloth_faces_)
+        fail("faces " + std::to_string(f) + " and " + std::to_string(g) + " of the cloth intersect");
+      fail("face " + std::to_string(f) + " of the cloth cuts an obstacle");
+    }
+  }
+  for (const Pair& pair : pairs_) {
+    const double distance = std::sqrt(closest(pair, x).squared_distance) - static_cast<double>(pair.minimum);
+    if (distance > kMinimumClearance) continue;
+    if (pair.kind == Kind::kSphereFace) {
+      fail("the cloth is inside or touches obstacle '" +
+           scene_.obstacles[sphere_obstacles_[pair.v[0] - first_sphere_]].name + "'");
+    }
+    const bool obstacle = std::any_of(pair.v.begin(), pair.v.end(), [&](std::uint32_t v) { return v >= cloth_count_; });
+    fail(obstacle ? "the cloth touches an obstacle near vertex " + std::to_string(std::min(pair.v[0], pair.v[2]))
+                  : "the cloth touches itself near vertex " + std::to_string(pair.v[0]));
+  }
+  // Deep inside an obstacle nothing is near: every connected part of the cloth must have a vertex outside.
+  UnionFind parts(cloth_count_);
+  for (std::size_t f = 0; f < cloth_faces_; ++f) {
+    parts.join(faces_[f][0], faces_[f][1]);
+    parts.join(faces_[f][0], faces_[f][2]);
+  }
+  for (std::uint32_t v = 0; v < cloth_count_; ++v) {
+    if (parts.root(v) != v) continue;
+    for (std::size_t s = 0; s < sphere_obstacles_.size(); ++s) {
+      const Obstacle& obstacle = scene_.obstacles[sphere_obstacles_[s]];
+      if ((x[v] - x[first_sphere_ + s]).norm() < obstacle.radius)
+        fail("the cloth is inside obstacle '" + obstacle.name + "'");
+    }
+    std::size_t first_face = cloth_faces_;
+    for (const std::size_t o : mesh_obstacles_) {
+      const auto count = static_cast<std::size_t>(scene_.obstacles[o].mesh.face_count());
+      if (std::abs(winding_number(x[v], x, std::span(faces_).subspan(first_face, count))) > 0.5) {
+        fail("the cloth is inside obstacle '" + scene_.obstacles[o].name + "'");
+      }
+      first_face += count;
+    }
+  }
+}
+
+std::vector<ContactForce> ContactSystem::repulsion(const Points& x, const Points& v, std::span<const double> masses,
+                                                   double step_s, ThreadPool& pool) {
+  // Pairs found for almost the same positions still hold everything within the thickness.
+  bool reuse = pairs_end_.size() == x.size();
+  for (std::size_t i = 0; reuse && i < x.size(); ++i) reuse = (x[i] - pairs_end_[i]).squaredNorm() <= slack_ * slack_;
+  if (!reuse) find_pairs(x, x, pool);
+
+  std::vector<ContactForce> forces;
+  const auto add = [&](const std::array<std::uint32_t, 4>& particles, const std::array<double, 4>& weights,
+                       const Vector3d& normal, double distance, double area, double friction_coefficient) {
+    const double violation = thickness_ - distance;
+    const double stiffness = scene_.contact.stiffness * area;
+    ContactForce c;
+    Vector3d approach = Vector3d::Zero();
+    double mobility = 0;
+    for (std::size_t k = 0; k < 4; ++k) {
+      const bool free = particles[k] < cloth_count_;
+      c.vertices[k] = free && weights[k] != 0 ? particles[k] : kNone;
+      c.weights[k] = static_cast<float>(weights[k]);
+      if (particles[k] == kNone) continue;
+      approach += weights[k] * v[particles[k]];
+      if (free) mobility += weights[k] * weights[k] / masses[particles[k]];
+    }
+    const double force = stiffness * violation * violation / (2 * thickness_);
+    const double sliding = (approach - normal * normal.dot(approach)).norm();
+    double friction = 0;
+    if (mobility > 0 && sliding > 0)
+      friction = std::min(friction_coefficient * force / sliding, 1 / (step_s * mobility));
+    c.normal = normal.cast<float>();
+    c.force = static_cast<float>(force);
+    c.stiffness = static_cast<float>(stiffness * violation / thickness_);
+    c.friction = static_cast<float>(friction);
+    c.approach = approach.cast<float>();
+    forces.push_back(c);
+  };
+
+  std::vector<std::uint32_t> touched(cloth_count_, kNone);
+  for (const Pair& pair : pairs_) {
+    const ClosestPoints points = closest(pair, x);
+    const double distance = std::sqrt(points.squared_distance);
+    const double clearance = distance - static_cast<double>(pair.minimum);
+    if (clearance >= thickness_ || distance <= 0) continue;
+    if (pair.kind == Kind::kSphereFace) {
+      // The corners once each; besides them the face itself where the sphere touches between the corners.
+      const std::uint32_t center = pair.v[0];
+      for (std::size_t k = 1; k < 4; ++k) {
+        const std::uint32_t corner = pair.v[k];
+        const Vector3d d = x[corner] - x[center];
+        const double length = d.norm(), corner_clearance = length - static_cast<double>(pair.minimum);
+        if (corner_clearance >= thickness_ || touched[corner] == center) continue;
+        touched[corner] = center;
+        add({corner, center, kNone, kNone}, {1, -1, 0, 0}, d / length, corner_clearance, areas_[corner],
+            scene_.contact.obstacle_friction);
+      }
+      const double largest = -*std::min_element(points.weights.begin() + 1, points.weights.end());
+      if (largest < 0.9) {
+        const auto& w = points.weights;
+        add({pair.v[1], pair.v[2], pair.v[3], center}, {-w[1], -w[2], -w[3], -1}, -points.difference / distance,
+            clearance, areas_[pair.v[1]], scene_.contact.obstacle_friction);
+      }
+      continue;
+    }
+    if (!points.interior) continue;
+    const bool obstacle = pair.v[0] >= cloth_count_ || pair.v[2] >= cloth_count_;
+    double area = 1e30;
+    for (std::size_t k = 0; k < 4; ++k) {
+      if (pair.v[k] < cloth_count_) area = std::min(area, areas_[pair.v[k]]);
+    }
+    add(pair.v, points.weights, points.difference / distance, clearance, area,
+        obstacle ? scene_.contact.obstacle_friction : scene_.contact.friction);
+  }
+  return forces;
+}
+
+// The end positions nearest to the given ones (in the metric of the masses) that respect the impacts: projected
+// Gauss-Seidel on the multipliers, which start from those of the last round.
+void ContactSystem::project(std::vector<Impact>& impacts, std::span<const double> inverse_masses, Points& end) const {
+  for (int sweep = 0; sweep < 64; ++sweep) {
+    double worst = 0;
+    for (Impact& impact : impacts) {
+      double mobility = 0, value = -impact.distance;
+      for (std::size_t k = 0; k < 4; ++k) {
+        mobility += impact.weights[k] * impact.weights[k] * inverse_mass(inverse_masses, impact.pair.v[k]);
+        value += impact.weights[k] * impact.normal.dot(end[impact.pair.v[k]]);
+      }
+      if (mobility <= 0) continue;
+      const double next = std::max(0.0, impact.multiplier - value / mobility);
+      const double delta = next - impact.multiplier;
+      impact.multiplier = next;
+      worst = std::max(worst, std::abs(delta) * mobility);
+      for (std::size_t k = 0; k < 4; ++k) {
+        const double w = impact.weights[k] * inverse_mass(inverse_masses, impact.pair.v[k]);
+        if (w != 0) end[impact.pair.v[k]] += delta * w * impact.normal;
+      }
+    }
+    if (worst < 0.5 * kGap) break;
+  }
+}
+
+// Lets every zone (what impacts connect) move as its centre of mass does, or as the obstacle in it: inside a zone
+// nothing moves relative to anything. Returns false if prescribed particles of one zone move differently.
+bool ContactSystem::move_rigidly(const std::vector<Impact>& impacts, std::span<const double> inverse_masses,
+                                 const Points& start, Points& end, std::uint64_t& zones) const {
+  struct Zone {
+    double mass = 0;
+    Vector3d motion = Vector3d::Zero();
+    bool prescribed = false;
+    bool counted = false;
+  };
+  UnionFind sets(particle_count_);
+  std::vector<char> member(particle_count_, 0);
+  for (const Impact& impact : impacts) {
+    for (const std::uint32_t v : impact.pair.v) {
+      sets.join(impact.pair.v[0], v);
+      member[v] = 1;
+    }
+  }
+  std::vector<Zone> zone(particle_count_);
+  for (std::uint32_t i = 0; i < particle_count_; ++i) {
+    if (!member[i]) continue;
+    Zone& z = zone[sets.root(i)];
+    if (!std::exchange(z.counted, true)) ++zones;
+    const Vector3d motion = end[i] - start[i];
+    const double inverse = inverse_mass(inverse_masses, i);
+    if (inverse <= 0) {
+      if (z.prescribed && (motion - z.motion).norm() > 1e-12) return false;
+      z.prescribed = true;
+      z.motion = motion;
+    } else if (!z.prescribed) {
+      z.motion = (z.mass * z.motion + motion / inverse) / (z.mass + 1 / inverse);
+      z.mass += 1 / inverse;
+    }
+  }
+  for (std::uint32_t i = 0; i < particle_count_; ++i) {
+    if (member[i] && inverse_mass(inverse_masses, i) > 0) end[i] = start[i] + zone[sets.root(i)].motion;
+  }
+  return true;
+}
+
+Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<const double> inverse_masses,
+                                  ThreadPool& pool) {
+  Resolution result;
+  find_pairs(start, end, pool);
+  const double most = 0.1 * thickness_;
+  std::vector<Impact> impacts;
+  std::vector<char> changed(particle_count_, 1);
+  bool all_rigid = true;
+
+  constexpr std::size_t kGrain = 1024;
+  std::vector<std::vector<Impact>> found;
+  for (int round = 0;; ++round) {
+    found.assign((pairs_.size() + kGrain - 1) / kGrain, {});
+    pool.parallel_for(pairs_.size(), kGrain, [&](std::size_t begin, std::size_t last) {
+      for (std::size_t p = begin; p < last; ++p) {
+        const Pair& pair = pairs_[p];
+        if (!changed[pair.v[0]] && !changed[pair.v[1]] && !changed[pair.v[2]] && !changed[pair.v[3]]) continue;
+        const auto collision = collide(pair, start, end);
+        if (!collision) continue;
+        const double distance = std::sqrt(collision->closest.squared_distance);
+        Impact impact{pair, collision->closest.weights, Vector3d::Zero(), 0, 0};
+        if (distance > 0) impact.normal = collision->closest.difference / distance;
+        const double before = std::sqrt(closest(pair, start).squared_distance) - static_cast<double>(pair.minimum);
+        impact.distance = static_cast<double>(pair.minimum) + std::min(most, std::max(before, 5 * kGap));
+        found[begin / kGrain].push_back(impact);
+      }
+    });
+    std::size_t new_impacts = 0;
+    for (const auto& list : found) new_impacts += list.size();
+    if (new_impacts == 0) return result;
+    result.impacts += new_impacts;
+    result.rounds = static_cast<std::uint64_t>(round) + 1;
+
+    // The latest geometry of a pair replaces what earlier rounds knew about it.
+    for (const auto& list : found) {
+      for (const Impact& impact : list) {
+        const auto same = std::find_if(impacts.begin(), impacts.end(), [&](const Impact& i) {
+          return i.pair.kind == impact.pair.kind && i.pair.v == impact.pair.v;
+        });
+        if (same == impacts.end()) {
+          impacts.push_back(impact);
+        } else {
+          // Its push so far stays in `end`; the new constraint starts from there.
+          *same = impact;
+        }
+      }
+    }
+    const Points before = end;
+    if (round < kProjectionRounds) {
+      project(impacts, inverse_masses, end);
+    } else if (round < kProjectionRounds + kRigidRounds) {
+      all_rigid = move_rigidly(impacts, inverse_masses, start, end, result.rigid_zones);
+    }
+    if (!all_rigid || round >= kProjectionRounds + kRigidRounds) {
+      // The last resort can't fail: everything, obstacles included, stops before the first collision.
+      double time = 1;
+      for (const Pair& pair : pairs_) {
+        const auto collision = collide(pair, start, end);
+        if (collision) time = std::min(time, collision->time);
+      }
+      for (std::size_t i = 0; i < end.size(); ++i) end[i] = start[i] + 0.8 * time * (end[i] - start[i]);
+      result.cut = true;
+      return result;
+    }
+    bool far = false;
+    for (std::size_t i = 0; i < end.size(); ++i) {
+      changed[i] = end[i] != before[i];
+      far = far || (end[i] - pairs_end_[i]).squaredNorm() > slack_ * slack_;
+    }
+    if (far) find_pairs(start, end, pool);
+  }
+}
+
+}  // namespace pleat::simulation

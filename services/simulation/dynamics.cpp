@@ -1,0 +1,475 @@
+#include "services/simulation/dynamics.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <numbers>
+#include <numeric>
+
+#include "common/base/error.hpp"
+#include "common/mesh/connectivity.hpp"
+
+namespace pleat::simulation {
+namespace {
+
+using Eigen::Vector3d;
+using Eigen::Vector3f;
+using Clock = std::chrono::steady_clock;
+
+constexpr std::size_t kElementGrain = 2048;
+
+double milliseconds_since(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
+
+Float4 to_float4(const Vector3f& v) { return Float4{v.x(), v.y(), v.z(), 0}; }
+double dot(Float4 a, Float4 b) {
+  return static_cast<double>(a[0]) * b[0] + static_cast<double>(a[1]) * b[1] + static_cast<double>(a[2]) * b[2];
+}
+
+// Compressed rows: for every vertex the (element << 2 | corner) that touch it, in element order.
+template <typename Elements>
+void gather_lists(std::size_t vertices, const Elements& elements, std::vector<std::uint32_t>& offsets,
+                  std::vector<std::uint32_t>& corners) {
+  offsets.assign(vertices + 1, 0);
+  for (const auto& e : elements) {
+    for (const std::uint32_t v : e.v) ++offsets[v + 1];
+  }
+  std::partial_sum(offsets.begin(), offsets.end(), offsets.begin());
+  corners.resize(offsets.back());
+  std::vector<std::uint32_t> next(offsets.begin(), offsets.end() - 1);
+  for (std::size_t e = 0; e < elements.size(); ++e) {
+    for (std::size_t k = 0; k < elements[e].v.size(); ++k) {
+      corners[next[elements[e].v[k]]++] = static_cast<std::uint32_t>(e << 2 | k);
+    }
+  }
+}
+
+// The force of the air on one face: pressure along the normal, and tangential drag. It never reverses the motion
+// through the air within the step.
+Vector3f air_force(const Vector3f& area_normal, const Vector3f& relative, float rest_area, const Wind& wind,
+                   float mass_over_step) {
+  const float size = area_normal.norm();
+  if (size <= 0) return Vector3f::Zero();
+  const Vector3f n = area_normal / size;
+  const float along = relative.dot(n);
+  const Vector3f across = relative - along * n;
+  const float pressure = std::min(static_cast<float>(wind.density) * rest_area * std::abs(along), mass_over_step);
+  const float drag = std::min(static_cast<float>(wind.drag) * rest_area, mass_over_step);
+  return pressure * along * n + drag * across;
+}
+
+}  // namespace
+
+Dynamics::Dynamics(const Topology& mesh, const Scene& scene, const Topology* coarse,
+                   std::span<const std::uint32_t> feature_vertices)
+    : table_(scene.material, scene.stretching_multiplier), density_(scene.material.density * scene.density_multiplier) {
+  const auto vertices = static_cast<std::size_t>(mesh.vertex_count());
+  masses_.assign(vertices, 0);
+  areas_.assign(vertices, 0);
+  std::vector<std::uint32_t> identity(vertices);
+  std::iota(identity.begin(), identity.end(), 0u);
+  add_level(mesh, identity, scene);
+  mass_faces_ = faces_.size();
+  for (const Face& face : faces_) {
+    for (const std::uint32_t v : face.v) {
+      areas_[v] += static_cast<double>(face.rest.area) / 3;
+      masses_[v] += density_ * static_cast<double>(face.rest.area) / 3;
+    }
+  }
+  // A vertex without faces would make the matrix singular; it falls like a crumb of the average mass.
+  const double mean = std::accumulate(masses_.begin(), masses_.end(), 0.0) / static_cast<double>(vertices);
+  for (double& mass : masses_) {
+    if (mass <= 0) mass = mean;
+  }
+  if (coarse != nullptr) add_level(*coarse, feature_vertices, scene);
+  build_pattern();
+}
+
+void Dynamics::add_level(const Topology& mesh, std::span<const std::uint32_t> map, const Scene& scene) {
+  const auto uv = [&](Eigen::Index f, int k) -> Eigen::Vector2d {
+    return mesh.uv.row(mesh.uv_faces(f, k)).cast<double>();
+  };
+  std::vector<double> areas;
+  for (Eigen::Index f = 0; f < mesh.face_count(); ++f) {
+    const Eigen::Vector2d e1 = uv(f, 1) - uv(f, 0), e2 = uv(f, 2) - uv(f, 0);
+    const double determinant = e1.x() * e2.y() - e1.y() * e2.x();
+    // Rows of the inverse of [e1 e2] are the gradients of the shape functions of corners 1 and 2.
+    const Eigen::Vector2d g1(e2.y() / determinant, -e2.x() / determinant);
+    const Eigen::Vector2d g2(-e1.y() / determinant, e1.x() / determinant);
+    Face face;
+    face.v = {map[mesh.faces(f, 0)], map[mesh.faces(f, 1)], map[mesh.faces(f, 2)]};
+    face.rest.du = {static_cast<float>(-g1.x() - g2.x()), static_cast<float>(g1.x()), static_cast<float>(g2.x())};
+    face.rest.dv = {static_cast<float>(-g1.y() - g2.y()), static_cast<float>(g1.y()), static_cast<float>(g2.y())};
+    face.rest.area = static_cast<float>(determinant / 2);
+    areas.push_back(determinant / 2);
+    faces_.push_back(face);
+  }
+  const Connectivity connectivity = build_connectivity(mesh.vertex_count(), mesh.faces);
+  // The edge v0-v1 in the material coordinates of a face: a seam has other ones on its other side.
+  const auto edge_in = [&](std::uint32_t face, std::uint32_t v0, std::uint32_t v1) -> Eigen::Vector2d {
+    Eigen::Vector2d a = Eigen::Vector2d::Zero(), b = a;
+    for (int k = 0; k < 3; ++k) {
+      if (mesh.faces(face, k) == v0) a = uv(face, k);
+      if (mesh.faces(face, k) == v1) b = uv(face, k);
+    }
+    return b - a;
+  };
+  for (const Edge& edge : connectivity.edges) {
+    if (edge.f1 == kNone) continue;
+    const Eigen::Vector2d d0 = edge_in(edge.f0, edge.v0, edge.v1), d1 = edge_in(edge.f1, edge.v0, edge.v1);
+    const double length = (d0.norm() + d1.norm()) / 2, area = areas[edge.f0] + areas[edge.f1];
+    Hinge hinge;
+    hinge.v = {map[edge.v0], map[edge.v1], map[edge.opposite0], map[edge.opposite1]};
+    hinge.rest.shape = static_cast<float>(length * length / (2 * area));
+    hinge.rest.curvature_per_radian = static_cast<float>(length / area);
+    for (std::size_t j = 0; j < 5; ++j) {
+      const double kappa = 10.0 * static_cast<double>(j);
+      hinge.rest.stiffness[j] = static_cast<float>(scene.bending_multiplier *
+                                                   std::min(bending_stiffness(scene.material, d0.x(), d0.y(), kappa),
+                                                            bending_stiffness(scene.material, d1.x(), d1.y(), kappa)));
+    }
+    hinges_.push_back(hinge);
+  }
+}
+
+void Dynamics::build_pattern() {
+  const std::size_t n = vertex_count();
+  gather_lists(n, faces_, face_offsets_, face_corners_);
+  gather_lists(n, hinges_, hinge_offsets_, hinge_corners_);
+
+  struct Entry {
+    std::uint64_t key;
+    Contribution contribution;
+  };
+  std::vector<Entry> entries;
+  entries.reserve(3 * faces_.size() + 6 * hinges_.size());
+  const auto add = [&](std::uint32_t i, std::uint32_t j, std::size_t element, std::size_t a, std::size_t b,
+                       bool hinge) {
+    if (i == j) return;
+    if (i > j) {
+      std::swap(i, j);
+      std::swap(a, b);
+    }
+    entries.push_back(
+        {static_cast<std::uint64_t>(i) << 32 | j,
+         {static_cast<std::uint32_t>(element), static_cast<std::uint8_t>(a), static_cast<std::uint8_t>(b), hinge}});
+  };
+  for (std::size_t f = 0; f < faces_.size(); ++f) {
+    for (std::size_t k = 0; k < 3; ++k) add(faces_[f].v[k], faces_[f].v[(k + 1) % 3], f, k, (k + 1) % 3, false);
+  }
+  for (std::size_t h = 0; h < hinges_.size(); ++h) {
+    for (std::size_t a = 0; a < 4; ++a) {
+      for (std::size_t b = a + 1; b < 4; ++b) add(hinges_[h].v[a], hinges_[h].v[b], h, a, b, true);
+    }
+  }
+  std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.key < b.key; });
+  for (std::size_t e = 0; e < entries.size(); ++e) {
+    if (e == 0 || entries[e].key != entries[e - 1].key) {
+      pairs_.push_back({static_cast<std::uint32_t>(entries[e].key >> 32), static_cast<std::uint32_t>(entries[e].key)});
+      contribution_offsets_.push_back(static_cast<std::uint32_t>(e));
+    }
+    contributions_.push_back(entries[e].contribution);
+  }
+  contribution_offsets_.push_back(static_cast<std::uint32_t>(entries.size()));
+  matrix_ = BlockMatrix(n, pairs_);
+
+  face_blocks_.resize(faces_.size());
+  face_forces_.resize(faces_.size());
+  hinge_gradients_.resize(hinges_.size());
+  hinge_moments_.resize(hinges_.size());
+  inverse_diagonal_.assign(9 * n + 1, 0);
+  for (auto* vector : {&right_side_, &change_, &residual_, &direction_, &product_, &preconditioned_}) {
+    vector->assign(n, Float4{});
+  }
+  fixed_.assign(n, 0);
+}
+
+Points Dynamics::internal_forces(const Points& x) const {
+  Points forces(x.size(), Vector3d::Zero());
+  for (const Face& face : faces_) {
+    const Vector3f e1 = (x[face.v[1]] - x[face.v[0]]).cast<float>(), e2 = (x[face.v[2]] - x[face.v[0]]).cast<float>();
+    const auto strain = triangle_strain(face.rest, e1, e2);
+    Vector3f f1, f2;
+    stretching_forces(face.rest, table_.at(strain.g00, strain.g11, strain.g01), strain, f1, f2);
+    forces[face.v[0]] -= (f1 + f2).cast<double>();
+    forces[face.v[1]] += f1.cast<double>();
+    forces[face.v[2]] += f2.cast<double>();
+  }
+  for (const Hinge& hinge : hinges_) {
+    const Vector3d& origin = x[hinge.v[0]];
+    const auto angle =
+        hinge_angle<float>((x[hinge.v[1]] - origin).cast<float>(), (x[hinge.v[2]] - origin).cast<float>(),
+                           (x[hinge.v[3]] - origin).cast<float>());
+    const float moment = hinge_moment(hinge.rest, hinge_stiffness(hinge.rest, angle.theta), angle.theta);
+    for (std::size_t k = 0; k < 4; ++k) forces[hinge.v[k]] -= (moment * angle.gradient[k]).cast<double>();
+  }
+  return forces;
+}
+
+double Dynamics::internal_energy(const Points& x) const {
+  double energy = 0;
+  for (const Face& face : faces_) {
+    const Vector3f e1 = (x[face.v[1]] - x[face.v[0]]).cast<float>(), e2 = (x[face.v[2]] - x[face.v[0]]).cast<float>();
+    const auto strain = triangle_strain(face.rest, e1, e2);
+    energy += static_cast<double>(stretching_energy(face.rest, table_.at(strain.g00, strain.g11, strain.g01), strain));
+  }
+  for (const Hinge& hinge : hinges_) {
+    const Vector3d& origin = x[hinge.v[0]];
+    const auto angle =
+        hinge_angle<float>((x[hinge.v[1]] - origin).cast<float>(), (x[hinge.v[2]] - origin).cast<float>(),
+                           (x[hinge.v[3]] - origin).cast<float>());
+    energy += static_cast<double>(hinge_energy(hinge.rest, hinge_stiffness(hinge.rest, angle.theta), angle.theta));
+  }
+  return energy;
+}
+
+void Dynamics::assemble(const Points& x, const Points& v, const Step& step, ThreadPool& pool) {
+  const auto h = static_cast<float>(step.length_s);
+  const auto scale = static_cast<float>(step.length_s * (step.length_s + step.damping_s));
+
+  const bool air = step.wind.density > 0 || step.wind.drag > 0;
+  pool.parallel_for(faces_.size(), kElementGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t f = begin; f < end; ++f) {
+      const Face& face = faces_[f];
+      const Vector3f e1 = (x[face.v[1]] - x[face.v[0]]).cast<float>();
+      const Vector3f e2 = (x[face.v[2]] - x[face.v[0]]).cast<float>();
+      const auto strain = triangle_strain(face.rest, e1, e2);
+      const Moduli k = table_.at(strain.g00, strain.g11, strain.g01);
+      auto& forces = face_forces_[f];
+      stretching_forces(face.rest, k, strain, forces[1], forces[2]);
+      forces[0] = -(forces[1] + forces[2]);
+      std::array<Eigen::Matrix3f, 3> blocks;
+      stretching_stiffness(face.rest, k, strain, blocks);
+      for (std::size_t b = 0; b < 3; ++b) {
+        Eigen::Map<Eigen::Matrix3f>(face_blocks_[f].data() + 9 * b) = blocks[b];
+      }
+      if (air && f < mass_faces_) {
+        const Vector3d mean = (v[face.v[0]] + v[face.v[1]] + v[face.v[2]]) / 3;
+        const float mass = static_cast<float>(density_) * face.rest.area;
+        const Vector3f third =
+            air_force(e1.cross(e2), (step.wind.velocity - mean).cast<float>(), face.rest.area, step.wind, mass / h) / 3;
+        for (Vector3f& force : forces) force += third;
+      }
+    }
+  });
+
+  const bool first = reference_angles_.empty();
+  if (first) reference_angles_.assign(hinges_.size(), 0);
+  pool.parallel_for(hinges_.size(), kElementGrain, [&](std::size_t begin, std::size_t end) {
+    constexpr float kTurn = 2 * std::numbers::pi_v<float>;
+    for (std::size_t i = begin; i < end; ++i) {
+      const Hinge& hinge = hinges_[i];
+      const Vector3d& origin = x[hinge.v[0]];
+      const auto angle =
+          hinge_angle<float>((x[hinge.v[1]] - origin).cast<float>(), (x[hinge.v[2]] - origin).cast<float>(),
+                             (x[hinge.v[3]] - origin).cast<float>());
+      // A hinge may fold past pi: stay on the branch of the last step.
+      const float theta = angle.theta + kTurn * std::round((reference_angles_[i] - angle.theta) / kTurn);
+      reference_angles_[i] = theta;
+      const float root = std::sqrt(hinge_curvature(hinge.rest, hinge_stiffness(hinge.rest, theta)));
+      hinge_moments_[i] = -root * theta;
+      for (std::size_t k = 0; k < 4; ++k) hinge_gradients_[i][k] = root * angle.gradient[k];
+    }
+  });
+
+  pool.parallel_for(pairs_.size(), 4 * kElementGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t p = begin; p < end; ++p) {
+      Eigen::Matrix3f sum = Eigen::Matrix3f::Zero();
+      for (std::uint32_t c = contribution_offsets_[p]; c < contribution_offsets_[p + 1]; ++c) {
+        const Contribution& from = contributions_[c];
+        if (from.hinge) {
+          const auto& g = hinge_gradients_[from.element];
+          sum.noalias() += g[from.a] * g[from.b].transpose();
+        } else {
+          const bool forward = (from.a + 1) % 3 == from.b;
+          const Eigen::Map<const Eigen::Matrix3f> block(face_blocks_[from.element].data() +
+                                                        9 * (forward ? from.a : from.b));
+          if (forward) {
+            sum += block;
+          } else {
+            sum += block.transpose();
+          }
+        }
+      }
+      sum *= scale;
+      Eigen::Map<Eigen::Matrix3f>(matrix_.block(matrix_.upper_slot(p))) = sum;
+      Eigen::Map<Eigen::Matrix3f>(matrix_.block(matrix_.lower_slot(p))) = sum.transpose();
+    }
+  });
+
+  const Vector3f gravity = step.gravity.cast<float>();
+  pool.parallel_for(vertex_count(), kVertexGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const auto mass = static_cast<float>(masses_[i]);
+      Vector3f force = mass * gravity;
+      for (std::uint32_t c = face_offsets_[i]; c < face_offsets_[i + 1]; ++c) {
+        force += face_forces_[face_corners_[c] >> 2][face_corners_[c] & 3];
+      }
+      for (std::uint32_t c = hinge_offsets_[i]; c < hinge_offsets_[i + 1]; ++c) {
+        const std::uint32_t hinge = hinge_corners_[c] >> 2;
+        force += hinge_moments_[hinge] * hinge_gradients_[hinge][hinge_corners_[c] & 3];
+      }
+      // K v through velocity differences: the common motion, far larger than the rest in a fall, drops out exactly.
+      Eigen::Matrix3f diagonal = Eigen::Matrix3f::Identity() * mass;
+      Vector3f stiffness_velocity = Vector3f::Zero();
+      for (std::uint32_t slot = matrix_.row_begin(i); slot < matrix_.row_end(i); ++slot) {
+        const Eigen::Map<const Eigen::Matrix3f> block(matrix_.block(slot));
+        diagonal -= block;
+        stiffness_velocity.noalias() += block * (v[matrix_.column(slot)] - v[i]).cast<float>();
+      }
+      Eigen::Map<Eigen::Matrix3f>(matrix_.diagonal(i)) = diagonal;
+      right_side_[i] = to_float4(h * force - stiffness_velocity);
+    }
+  });
+
+  std::fill(fixed_.begin(), fixed_.end(), 0);
+  for (const Pin& pin : step.pins) {
+    const std::uint32_t i = pin.vertex;
+    if (pin.hard) {
+      fixed_[i] = 1;
+      change_[i] = to_float4(((pin.target - x[i]) / step.length_s - v[i]).cast<float>());
+      continue;
+    }
+    Eigen::Map<Eigen::Matrix3f> diagonal(matrix_.diagonal(i));
+    diagonal.diagonal().array() += static_cast<float>(step.length_s * step.length_s * pin.stiffness);
+    right_side_[i] +=
+        to_float4((step.length_s * pin.stiffness * (pin.target - x[i] - step.length_s * v[i])).cast<float>());
+  }
+
+  for (std::size_t k = 0; k < 9 * vertex_count(); ++k) inverse_diagonal_[k] = matrix_.diagonal(0)[k];
+  for (const ContactForce& contact : step.contacts) {
+    const Eigen::Matrix3f nn = contact.normal * contact.normal.transpose();
+    const Eigen::Matrix3f block =
+        (h * h * contact.stiffness) * nn + (h * contact.friction) * (Eigen::Matrix3f::Identity() - nn);
+    const Vector3f impulse = h * contact.force * contact.normal - block * contact.approach;
+    for (std::size_t k = 0; k < 4; ++k) {
+      const std::uint32_t i = contact.vertices[k];
+      if (i == kNone) continue;
+      right_side_[i] += to_float4(contact.weights[k] * impulse);
+      Eigen::Map<Eigen::Matrix3f>(inverse_diagonal_.data() + 9 * static_cast<std::size_t>(i)) +=
+          contact.weights[k] * contact.weights[k] * block;
+    }
+  }
+  pool.parallel_for(vertex_count(), kVertexGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      float inverse[9];
+      invert_block(inverse_diagonal_.data() + 9 * i, inverse);
+      std::copy(inverse, inverse + 9, inverse_diagonal_.data() + 9 * i);
+    }
+  });
+}
+
+int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
+  const std::size_t n = vertex_count();
+  const std::size_t ranges = (n + kVertexGrain - 1) / kVertexGrain;
+  std::vector<double> partial(ranges), partial2(ranges);
+  const auto total = [](const std::vector<double>& values) {
+    return std::accumulate(values.begin(), values.end(), 0.0);
+  };
+  const auto h = static_cast<float>(step.length_s);
+
+  // Adds the contacts' part of A y to `product`; returns y . (that part).
+  const auto add_contacts = [&](const std::vector<Float4>& y, std::vector<Float4>& product) {
+    double energy = 0;
+    for (const ContactForce& contact : step.contacts) {
+      Float4 sum{};
+      for (std::size_t k = 0; k < 4; ++k) {
+        if (contact.vertices[k] != kNone) sum += contact.weights[k] * y[contact.vertices[k]];
+      }
+      const Float4 normal = to_float4(contact.normal);
+      const auto along = static_cast<float>(dot(normal, sum));
+      const Float4 result =
+          (h * h * contact.stiffness - h * contact.friction) * along * normal + h * contact.friction * sum;
+      energy += dot(result, sum);
+      for (std::size_t k = 0; k < 4; ++k) {
+        const std::uint32_t i = contact.vertices[k];
+        if (i != kNone && !fixed_[i]) product[i] += contact.weights[k] * result;
+      }
+    }
+    return energy;
+  };
+
+  // The start: last step's change (prescribed values at fixed vertices). Residual r = b - A x.
+  pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i)
+      product_[i] = fixed_[i] ? Float4{} : matrix_.multiply_row(i, change_.data());
+  });
+  add_contacts(change_, product_);
+  pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
+    double rz = 0, bz = 0;
+    for (std::size_t i = begin; i < end; ++i) {
+      if (fixed_[i]) {
+        residual_[i] = direction_[i] = Float4{};
+        continue;
+      }
+      Float4 b = right_side_[i];
+      b[3] = 0;
+      residual_[i] = b - product_[i];
+      residual_[i][3] = 0;
+      const float* inverse = inverse_diagonal_.data() + 9 * i;
+      Float4 z = BlockMatrix::apply(inverse, residual_[i]);
+      z[3] = 0;
+      direction_[i] = z;
+      rz += dot(residual_[i], z);
+      bz += dot(b, BlockMatrix::apply(inverse, b));
+    }
+    partial[begin / kVertexGrain] = rz;
+    partial2[begin / kVertexGrain] = bz;
+  });
+  double rz = total(partial);
+  const double target = step.tolerance * step.tolerance * total(partial2);
+
+  int iteration = 0;
+  for (; iteration < step.max_iterations && rz > target; ++iteration) {
+    pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
+      double sum = 0;
+      for (std::size_t i = begin; i < end; ++i) {
+        product_[i] = fixed_[i] ? Float4{} : matrix_.multiply_row(i, direction_.data());
+        sum += dot(product_[i], direction_[i]);
+      }
+      partial[begin / kVertexGrain] = sum;
+    });
+    double energy = total(partial);
+    energy += add_contacts(direction_, product_);
+    if (!(energy > 0)) break;  // float32 is exhausted
+    const auto alpha = static_cast<float>(rz / energy);
+    pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
+      double sum = 0;
+      for (std::size_t i = begin; i < end; ++i) {
+        change_[i] += alpha * direction_[i];
+        Float4 r = residual_[i] - alpha * product_[i];
+        r[3] = 0;
+        residual_[i] = r;
+        Float4 z = BlockMatrix::apply(inverse_diagonal_.data() + 9 * i, r);
+        z[3] = 0;
+        preconditioned_[i] = z;
+        sum += dot(r, z);
+      }
+      partial[begin / kVertexGrain] = sum;
+    });
+    const double next = total(partial);
+    const auto beta = static_cast<float>(next / rz);
+    rz = next;
+    pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) direction_[i] = preconditioned_[i] + beta * direction_[i];
+    });
+  }
+  return iteration;
+}
+
+int Dynamics::solve(const Points& positions, Points& velocities, const Step& step, ThreadPool& pool) {
+  const auto start = Clock::now();
+  assemble(positions, velocities, step, pool);
+  assembly_ms_ = milliseconds_since(start);
+  const auto middle = Clock::now();
+  const int iterations = conjugate_gradients(step, pool);
+  for (std::size_t i = 0; i < vertex_count(); ++i) {
+    const Float4 dv = change_[i];
+    velocities[i] += Vector3d(static_cast<double>(dv[0]), static_cast<double>(dv[1]), static_cast<double>(dv[2]));
+  }
+  solve_ms_ = milliseconds_since(middle);
+  return iterations;
+}
+
+}  // namespace pleat::simulation

@@ -1,0 +1,126 @@
+// Elastic forces of a cloth and one linearised implicit Euler step (Baraff and Witkin 1998; docs/simulation.md).
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/parallel.hpp"
+#include "common/mesh/mesh.hpp"
+#include "services/simulation/block_matrix.hpp"
+#include "services/simulation/elements.hpp"
+#include "services/simulation/scene.hpp"
+
+namespace pleat::simulation {
+
+using Points = std::vector<Eigen::Vector3d>;
+
+/// A spring (or a prescribed place) between a vertex and a point of the end of the step.
+struct Pin {
+  std::uint32_t vertex;
+  Eigen::Vector3d target;
+  double stiffness = 0;  ///< N/m
+  bool hard = false;     ///< the vertex is at the target at the end of the step
+};
+
+/// A repulsion linearised at the start of a step. Vertices that are not free (obstacles) have index kNone: their
+/// motion is in `approach`.
+struct ContactForce {
+  std::array<std::uint32_t, 4> vertices;
+  std::array<float, 4> weights;
+  Eigen::Vector3f normal;    ///< unit; positive weights are pushed along it
+  float force;               ///< N
+  float stiffness;           ///< N/m along the normal
+  float friction;            ///< N s/m across it
+  Eigen::Vector3f approach;  ///< sum of weights times velocities, obstacles included, m/s
+};
+
+/// One mesh's elastic model and its solver. The pattern of the matrix and all rest data are computed once.
+class Dynamics {
+ public:
+  /// mesh: rest shape with material coordinates. A second level ([MFSR] section 4.2, H1) may be added: `coarse` whose
+  /// vertex i is vertex feature_vertices[i] of mesh; its stretching and bending act there too, its mass does not.
+  Dynamics(const Topology& mesh, const Scene& scene, const Topology* coarse = nullptr,
+           std::span<const std::uint32_t> feature_vertices = {});
+
+  std::size_t vertex_count() const { return masses_.size(); }
+  const std::vector<double>& masses() const { return masses_; }  ///< kg per vertex, lumped
+  const std::vector<double>& areas() const { return areas_; }    ///< m^2 per vertex, a third of its faces
+
+  /// Internal forces (N) and energy (J) at positions, for tests and diagnostics. Does not touch the state.
+  Points internal_forces(const Points& positions) const;
+  double internal_energy(const Points& positions) const;
+
+  struct Step {
+    double length_s;
+    double damping_s;
+    Eigen::Vector3d gravity;
+    Wind wind;
+    std::span<const Pin> pins;
+    std::span<const ContactForce> contacts;
+    double tolerance = 1e-3;  ///< of the preconditioned residual, relative to that of the right-hand side
+    int max_iterations = 400;
+  };
+
+  /// The velocities at the end of a step of linearised implicit Euler. `velocities` is replaced; positions stay.
+  /// Returns the iterations of the linear solver.
+  int solve(const Points& positions, Points& velocities, const Step& step, ThreadPool& pool);
+
+  double assembly_ms() const { return assembly_ms_; }  ///< of the last solve
+  double solve_ms() const { return solve_ms_; }
+
+  /// What a step carries to the next besides positions and velocities: the reference angles of the hinges and the last
+  /// velocity change, which starts the linear solver.
+  std::vector<float>& reference_angles() { return reference_angles_; }
+  std::vector<Float4>& last_change() { return change_; }
+
+ private:
+  struct Face {
+    std::array<std::uint32_t, 3> v;
+    TriangleRest<float> rest;
+  };
+  struct Hinge {
+    std::array<std::uint32_t, 4> v;
+    HingeRest<float> rest;
+  };
+  // One contribution to an off-diagonal block: of a face's block (transposed or not), or of a hinge's corners.
+  struct Contribution {
+    std::uint32_t element;
+    std::uint8_t a, b;
+    bool hinge;
+  };
+
+  void add_level(const Topology& mesh, std::span<const std::uint32_t> map, const Scene& scene);
+  void build_pattern();
+  void assemble(const Points& positions, const Points& velocities, const Step& step, ThreadPool& pool);
+  int conjugate_gradients(const Step& step, ThreadPool& pool);
+
+  std::vector<Face> faces_;
+  std::vector<Hinge> hinges_;
+  std::size_t mass_faces_ = 0;  // the faces that carry mass and air drag: the first level's
+  StretchingTable table_;
+  double density_;
+  std::vector<double> masses_, areas_;
+
+  BlockMatrix matrix_;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> pairs_;
+  std::vector<std::uint32_t> contribution_offsets_;
+  std::vector<Contribution> contributions_;
+  // Per vertex: (element << 2 | corner) of the faces, then of the hinges, whose forces it gathers.
+  std::vector<std::uint32_t> face_offsets_, face_corners_, hinge_offsets_, hinge_corners_;
+
+  // Per step.
+  std::vector<std::array<float, 27>> face_blocks_;               // off-diagonal stiffness blocks
+  std::vector<std::array<Eigen::Vector3f, 3>> face_forces_;      // elastic and air
+  std::vector<std::array<Eigen::Vector3f, 4>> hinge_gradients_;  // scaled by the root of the stiffness
+  std::vector<float> hinge_moments_;                             // force = moment * scaled gradient
+  std::vector<float> inverse_diagonal_;
+  std::vector<Float4> right_side_, change_, residual_, direction_, product_, preconditioned_;
+  std::vector<char> fixed_;
+  std::vector<float> reference_angles_;
+  double assembly_ms_ = 0, solve_ms_ = 0;
+};
+
+}  // namespace pleat::simulation

@@ -1,0 +1,426 @@
+#include "services/simulation/simulation.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <random>
+#include <utility>
+
+#include "common/base/error.hpp"
+#include "common/base/parallel.hpp"
+#include "services/simulation/cloth.hpp"
+
+namespace pleat::simulation {
+namespace {
+
+using Eigen::Vector3d;
+
+// Check-points: a header, then the raw values in the order of Cloth::archive, little-endian as the machine has them.
+constexpr char kMagic[8] = {'p', 'l', 'e', 'a', 't', 's', 'i', 'm'};
+constexpr std::uint32_t kVersion = 1;
+
+class Writer {
+ public:
+  explicit Writer(std::vector<std::byte>& bytes) : bytes_(bytes) {}
+  void raw(const void* data, std::size_t size) {
+    const auto* first = static_cast<const std::byte*>(data);
+    bytes_.insert(bytes_.end(), first, first + size);
+  }
+  template <typename T>
+  void value(const T& v) {
+    raw(&v, sizeof(v));
+  }
+  template <typename T>
+  void array(const std::vector<T>& v) {
+    value(static_cast<std::uint64_t>(v.size()));
+    raw(v.data(), v.size() * sizeof(T));
+  }
+  void vectors(const Points& v) { array(v); }
+  void floats(const std::vector<float>& v) { array(v); }
+  void registers(const std::vector<Float4>& v) { array(v); }
+  void vector(const Vector3d& v) { raw(v.data(), 3 * sizeof(double)); }
+  void flag(bool f) { value(static_cast<std::uint8_t>(f)); }
+
+ private:
+  std::vector<std::byte>& bytes_;
+};
+
+class Reader {
+ public:
+  explicit Reader(std::span<const std::byte> bytes) : bytes_(bytes) {}
+  void raw(void* data, std::size_t size) {
+    if (size > bytes_.size()) throw_data_loss("simulation check-point: truncated");
+    if (size > 0) std::memcpy(data, bytes_.data(), size);
+    bytes_ = bytes_.subspan(size);
+  }
+  template <typename T>
+  void value(T& v) {
+    raw(&v, sizeof(v));
+  }
+  template <typename T>
+  void array(std::vector<T>& v) {
+    std::uint64_t size = 0;
+    value(size);
+    if (size > bytes_.size() / sizeof(T)) throw_data_loss("simulation check-point: truncated");
+    v.resize(size);
+    raw(v.data(), v.size() * sizeof(T));
+  }
+  void vectors(Points& v) { array(v); }
+  void floats(std::vector<float>& v) { array(v); }
+  void registers(std::vector<Float4>& v) { array(v); }
+  void vector(Vector3d& v) { raw(v.data(), 3 * sizeof(double)); }
+  void flag(bool& f) {
+    std::uint8_t byte = 0;
+    value(byte);
+    f = byte != 0;
+  }
+  bool at_end() const { return bytes_.empty(); }
+
+ private:
+  std::span<const std::byte> bytes_;
+};
+
+std::uint64_t hash_bytes(std::span<const std::byte> bytes) {
+  std::uint64_t hash = 0xcbf29ce484222325ull;
+  for (const std::byte b : bytes) hash = (hash ^ static_cast<std::uint64_t>(b)) * 0x100000001b3ull;
+  return hash;
+}
+
+// What a check-point must agree on: everything that decides the motion.
+std::uint64_t scene_fingerprint(const Scene& s, Mode mode) {
+  std::vector<std::byte> bytes;
+  Writer w(bytes);
+  const auto mesh = [&](const Topology& t) {
+    const std::string hash = topology_hash(t);
+    w.raw(hash.data(), hash.size());
+  };
+  const auto motion = [&](const Motion& m) {
+    for (const KeyFrame& k : m.keys) {
+      w.value(k.time_s);
+      w.vector(k.translation);
+      w.vector(k.rotation);
+    }
+  };
+  mesh(s.garment);
+  w.vector(s.transform.translation);
+  w.vector(s.transform.rotation);
+  w.vector(s.velocity);
+  w.vector(s.gravity);
+  w.vector(s.wind.velocity);
+  for (const double v :
+       {s.transform.scale, s.perturbation_m, s.material.density, s.density_multiplier, s.stretching_multiplier,
+        s.bending_multiplier, s.damping_s, s.frame_time_s, s.wind.density, s.wind.drag, s.contact.thickness,
+        s.contact.stiffness, s.contact.friction, s.contact.obstacle_friction, s.tracking.spring}) {
+    w.value(v);
+  }
+  w.value(s.material.stretching);
+  w.value(s.material.bending);
+  for (const int v : {s.steps_per_frame, s.subdivision_rounds, static_cast<int>(mode),
+                      static_cast<int>(s.tracking.two_level), static_cast<int>(s.contact.self_collision)}) {
+    w.value(v);
+  }
+  w.value(s.seed);
+  for (const Handle& h : s.handles) {
+    w.array(h.vertices);
+    w.value(h.start_s);
+    w.value(h.end_s);
+    w.flag(h.hard);
+    w.value(h.stiffness);
+    motion(h.motion);
+  }
+  for (const Obstacle& o : s.obstacles) {
+    w.raw(o.name.data(), o.name.size());
+    w.vector(o.center);
+    w.value(o.radius);
+    if (o.mesh.face_count() > 0) mesh(o.mesh);
+    motion(o.motion);
+  }
+  return hash_bytes(bytes);
+}
+
+// A smooth random field: a few waves over the rest shape, the same for every mesh of the garment.
+class SmoothNoise {
+ public:
+  SmoothNoise(std::uint64_t seed, double extent) {
+    std::mt19937_64 random(seed ^ 0x9e3779b97f4a7c15ull);
+    // Not std::uniform_real_distribution: its sequence is not the same everywhere.
+    const auto uniform = [&random] { return static_cast<double>(random() >> 11) * 0x1p-53; };
+    for (int i = 0; i < 12; ++i) {
+      Vector3d direction(2 * uniform() - 1, 2 * uniform() - 1, 2 * uniform() - 1);
+      const double waves = 1 + 5 * uniform();
+      waves_.push_back(
+          {direction.normalized() * (2 * std::numbers::pi * waves / extent), 2 * std::numbers::pi * uniform()});
+    }
+  }
+  double at(const Vector3d& p) const {
+    double sum = 0;
+    for (const auto& [k, phase] : waves_) sum += std::sin(k.dot(p) + phase);
+    return sum / std::sqrt(0.5 * static_cast<double>(waves_.size()));
+  }
+
+ private:
+  std::vector<std::pair<Vector3d, double>> waves_;
+};
+
+Topology scaled(Topology garment, double scale) {
+  garment.rest_positions *= static_cast<float>(scale);
+  garment.uv *= static_cast<float>(scale);
+  return garment;
+}
+
+Points initial_positions(const Scene& scene, const Topology& garment) {
+  const Eigen::Matrix3d rotation = rotation_matrix(scene.transform.rotation);
+  const Positions normals = vertex_normals(garment.rest_positions, garment.faces);
+  const Eigen::RowVector3f size =
+      garment.rest_positions.colwise().maxCoeff() - garment.rest_positions.colwise().minCoeff();
+  const SmoothNoise noise(scene.seed, std::max(1e-9, static_cast<double>(size.norm())));
+  Points points;
+  for (Eigen::Index v = 0; v < garment.vertex_count(); ++v) {
+    Vector3d p = garment.rest_positions.row(v).cast<double>().transpose();
+    if (scene.perturbation_m > 0) p += scene.perturbation_m * noise.at(p) * normals.row(v).cast<double>().transpose();
+    points.push_back(rotation * p + scene.transform.translation);
+  }
+  return points;
+}
+
+Points to_points(const Positions& positions) {
+  Points points(static_cast<std::size_t>(positions.rows()));
+  for (std::size_t v = 0; v < points.size(); ++v)
+    points[v] = positions.row(static_cast<Eigen::Index>(v)).cast<double>().transpose();
+  return points;
+}
+
+Positions to_positions(std::span<const Vector3d> points) {
+  Positions positions(static_cast<Eigen::Index>(points.size()), 3);
+  for (std::size_t v = 0; v < points.size(); ++v)
+    positions.row(static_cast<Eigen::Index>(v)) = points[v].cast<float>().transpose();
+  return positions;
+}
+
+// The fine vertices that lie on what the handled coarse vertices span.
+std::vector<std::uint32_t> fine_handle_vertices(const Handle& handle, const Subdivision& subdivision,
+                                                const Faces& coarse_faces) {
+  std::vector<char> handled(subdivision.feature_vertices.size(), 0);
+  std::vector<std::uint32_t> vertices;
+  for (const std::uint32_t v : handle.vertices) {
+    if (!std::exchange(handled[v], 1)) vertices.push_back(subdivision.feature_vertices[v]);
+  }
+  for (Eigen::Index v = static_cast<Eigen::Index>(handled.size()); v < subdivision.fine.vertex_count(); ++v) {
+    bool inside = true;
+    for (int k = 0; k < 3; ++k) {
+      const std::uint32_t corner = coarse_faces(subdivision.parent_face[static_cast<std::size_t>(v)], k);
+      inside = inside && (subdivision.barycentric(v, k) == 0 || handled[corner]);
+    }
+    if (inside) vertices.push_back(static_cast<std::uint32_t>(v));
+  }
+  return vertices;
+}
+
+}  // namespace
+
+struct Simulation::State {
+  Scene scene;
+  Mode mode;
+  ThreadPool pool;
+  Topology garment;
+  Subdivision subdivision;
+  std::optional<Cloth> coarse, fine;
+  std::uint64_t next = 0;
+  Positions last_coarse, last_fine;
+
+  State(Scene s, Mode m)
+      : scene((validate_scene(s), std::move(s))), mode(m), pool(static_cast<std::size_t>(scene.threads)) {
+    garment = scaled(scene.garment, scene.transform.scale);
+    subdivision = subdivide(garment, scene.subdivision_rounds);
+    const Points initial = initial_positions(scene, garment);
+    std::vector<std::vector<std::uint32_t>> coarse_handles, fine_handles;
+    for (const Handle& handle : scene.handles) {
+      std::vector<std::uint32_t> unique = handle.vertices;
+      std::sort(unique.begin(), unique.end());
+      unique.erase(std::unique(unique.begin(), unique.end()), unique.end());
+      coarse_handles.push_back(std::move(unique));
+      fine_handles.push_back(fine_handle_vertices(handle, subdivision, garment.faces));
+    }
+    coarse.emplace(garment, initial, std::move(coarse_handles), scene);
+    coarse->check_start(pool);
+    if (mode == Mode::kCoarse) return;
+    const Points fine_initial = to_points(upsample(subdivision, garment.faces, to_positions(initial)));
+    if (mode == Mode::kTrackedFine && scene.tracking.two_level) {
+      fine.emplace(subdivision.fine, fine_initial, std::move(fine_handles), scene, &garment,
+                   subdivision.feature_vertices);
+    } else {
+      fine.emplace(subdivision.fine, fine_initial, std::move(fine_handles), scene);
+    }
+    fine->check_start(pool);
+  }
+
+  double frame_time(std::uint64_t index) const { return static_cast<double>(index) * scene.frame_time_s; }
+
+  Frame make_frame(const Cloth& cloth, Positions& last) const {
+    Frame frame;
+    frame.index = next;
+    frame.time_s = frame_time(next);
+    frame.positions = to_positions(cloth.positions());
+    if (next == 0) {
+      frame.velocities = Positions::Zero(frame.positions.rows(), 3);
+    } else {
+      frame.velocities = (frame.positions - last) / static_cast<float>(scene.frame_time_s);
+    }
+    last = frame.positions;
+    return frame;
+  }
+
+  std::vector<ObstacleFrame> obstacles() const {
+    // In place of the script: where a step had to be cut, the obstacles lag behind it.
+    std::vector<ObstacleFrame> frames;
+    std::size_t mesh_particle = coarse->vertex_count();
+    std::size_t sphere_particle = mesh_particle;
+    for (const Obstacle& o : scene.obstacles) {
+      if (o.radius == 0) sphere_particle += static_cast<std::size_t>(o.mesh.vertex_count());
+    }
+    for (const Obstacle& o : scene.obstacles) {
+      ObstacleFrame frame;
+      frame.name = o.name;
+      if (o.radius > 0) {
+        frame.center = coarse->particles()[sphere_particle++].cast<float>();
+        frame.radius = static_cast<float>(o.radius);
+      } else {
+        const auto count = static_cast<std::size_t>(o.mesh.vertex_count());
+        frame.positions = to_positions(std::span(coarse->particles()).subspan(mesh_particle, count));
+        mesh_particle += count;
+      }
+      frames.push_back(std::move(frame));
+    }
+    return frames;
+  }
+
+  void simulate_steps() {
+    const double step_s = scene.frame_time_s / scene.steps_per_frame;
+    std::vector<Pin> springs;
+    for (int s = 0; s < scene.steps_per_frame; ++s) {
+      const double time_s = frame_time(next - 1) + s * step_s;
+      coarse->step(time_s, step_s, {}, pool);
+      if (!fine) continue;
+      springs.clear();
+      if (mode == Mode::kTrackedFine && scene.tracking.spring > 0) {
+        for (std::size_t v = 0; v < subdivision.feature_vertices.size(); ++v) {
+          springs.push_back({subdivision.feature_vertices[v], coarse->positions()[v], scene.tracking.spring, false});
+        }
+      }
+      fine->step(time_s, step_s, springs, pool);
+    }
+  }
+
+  template <typename Archive>
+  void archive(Archive& archive) {
+    archive.value(next);
+    const auto positions = [&](Positions& p) {
+      std::vector<float> values(p.data(), p.data() + p.size());
+      archive.floats(values);
+      p = Eigen::Map<const Positions>(values.data(), static_cast<Eigen::Index>(values.size() / 3), 3);
+    };
+    positions(last_coarse);
+    positions(last_fine);
+    coarse->archive(archive);
+    if (fine) fine->archive(archive);
+  }
+};
+
+Simulation::Simulation(Scene scene, Mode mode) : state_(std::make_unique<State>(std::move(scene), mode)) {}
+Simulation::~Simulation() = default;
+Simulation::Simulation(Simulation&&) noexcept = default;
+Simulation& Simulation::operator=(Simulation&&) noexcept = default;
+
+const Scene& Simulation::scene() const { return state_->scene; }
+Mode Simulation::mode() const { return state_->mode; }
+const Topology& Simulation::coarse() const { return state_->garment; }
+const Topology& Simulation::fine() const { return state_->subdivision.fine; }
+const Subdivision& Simulation::subdivision() const { return state_->subdivision; }
+const std::vector<std::uint32_t>& Simulation::feature_vertices() const { return state_->subdivision.feature_vertices; }
+std::uint64_t Simulation::next_index() const { return state_->next; }
+
+std::vector<ObstacleShape> Simulation::obstacle_shapes() const {
+  std::vector<ObstacleShape> shapes;
+  for (const Obstacle& o : state_->scene.obstacles) shapes.push_back({o.name, o.mesh.faces});
+  return shapes;
+}
+
+SimulatedFrame Simulation::next_frame() {
+  State& s = *state_;
+  if (s.next >= static_cast<std::uint64_t>(s.scene.frames)) {
+    throw Error(ErrorCode::kFailedPrecondition,
+                "scene '" + s.scene.name + "' has ended: it has " + std::to_string(s.scene.frames) + " frames");
+  }
+  if (s.next > 0) s.simulate_steps();
+  SimulatedFrame frame;
+  frame.coarse = s.make_frame(*s.coarse, s.last_coarse);
+  if (s.fine) frame.fine = s.make_frame(*s.fine, s.last_fine);
+  frame.obstacles = s.obstacles();
+  const ClothReport coarse = s.coarse->take_report();
+  const ClothReport fine = s.fine ? s.fine->take_report() : ClothReport{};
+  const ClothReport& finest = s.fine ? fine : coarse;
+  frame.times = {coarse.total_ms, fine.total_ms, finest.assembly_ms, finest.solve_ms, finest.contact_ms};
+  frame.report = {coarse.contacts + fine.contacts, coarse.impacts + fine.impacts, coarse.rigid_zones + fine.rigid_zones,
+                  coarse.cut_steps + fine.cut_steps, coarse.solver_iterations + fine.solver_iterations};
+  ++s.next;
+  return frame;
+}
+
+std::vector<std::byte> Simulation::checkpoint() const {
+  std::vector<std::byte> bytes;
+  Writer writer(bytes);
+  writer.raw(kMagic, sizeof(kMagic));
+  writer.value(kVersion);
+  writer.value(scene_fingerprint(state_->scene, state_->mode));
+  state_->archive(writer);
+  writer.value(hash_bytes(bytes));
+  return bytes;
+}
+
+void Simulation::restore(std::span<const std::byte> bytes) {
+  std::uint64_t hash = 0, fingerprint = 0;
+  char magic[sizeof(kMagic)];
+  std::uint32_t version = 0;
+  if (bytes.size() < sizeof(hash)) throw_data_loss("simulation check-point: truncated");
+  Reader(bytes.last(sizeof(hash))).value(hash);
+  const auto content = bytes.first(bytes.size() - sizeof(hash));
+  Reader reader(content);
+  reader.raw(magic, sizeof(magic));
+  if (std::memcmp(magic, kMagic, sizeof(magic)) != 0) throw_data_loss("simulation check-point: not a check-point");
+  reader.value(version);
+  if (version != kVersion) {
+    throw_invalid_argument("simulation check-point: version " + std::to_string(version) + ", expected " +
+                           std::to_string(kVersion));
+  }
+  if (hash_bytes(content) != hash) throw_data_loss("simulation check-point: truncated or corrupt");
+  reader.value(fingerprint);
+  if (fingerprint != scene_fingerprint(state_->scene, state_->mode)) {
+    throw_invalid_argument("simulation check-point: belongs to another scene");
+  }
+  state_->archive(reader);
+  if (!reader.at_end()) throw_data_loss("simulation check-point: too long");
+}
+
+std::vector<ObstacleFrame> obstacle_frames(const Scene& scene, double time_s) {
+  std::vector<ObstacleFrame> frames;
+  for (const Obstacle& o : scene.obstacles) {
+    ObstacleFrame frame;
+    frame.name = o.name;
+    if (o.radius > 0) {
+      frame.center = pose_at(o.motion, o.center, time_s).apply(o.center).cast<float>();
+      frame.radius = static_cast<float>(o.radius);
+    } else {
+      const Vector3d pivot = o.mesh.rest_positions.cast<double>().colwise().mean().transpose() + o.center;
+      const Pose pose = pose_at(o.motion, pivot, time_s);
+      frame.positions.resize(o.mesh.vertex_count(), 3);
+      for (Eigen::Index v = 0; v < o.mesh.vertex_count(); ++v) {
+        frame.positions.row(v) =
+            pose.apply(o.mesh.rest_positions.row(v).cast<double>().transpose() + o.center).cast<float>().transpose();
+      }
+    }
+    frames.push_back(std::move(frame));
+  }
+  return frames;
+}
+
+}  // namespace pleat::simulation
