@@ -277,6 +277,7 @@ bool FrameStream<Request, Response>::write(const Request& request, bool counted,
     if (counted) {
       ++in_flight_;
       last_push_ = Clock::now();
+      changed_.notify_all();
     }
   }
   if (stream_->Write(request)) return true;

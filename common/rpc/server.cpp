@@ -1,0 +1,209 @@
+#include "common/rpc/server.hpp"
+
+#include <grpcpp/ext/proto_server_reflection_plugin.h>
+#include <grpcpp/grpcpp.h>
+#include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/resource_quota.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <csignal>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <mutex>
+#include <thread>
+
+#include "common/base/error.hpp"
+#include "common/rpc/pem.hpp"
+
+namespace pleat::rpc {
+namespace {
+
+sigset_t stop_signals() {
+  sigset_t signals;
+  sigemptyset(&signals);
+  sigaddset(&signals, SIGTERM);
+  sigaddset(&signals, SIGINT);
+  return signals;
+}
+
+/// Removes the socket file that a killed server left behind. Throws kUnavailable if somebody listens on it.
+void clear_socket(const std::string& path) {
+  std::error_code error;
+  if (!std::filesystem::exists(std::filesystem::symlink_status(path, error))) return;
+  if (!std::filesystem::is_socket(path, error)) throw_invalid_argument(path + ": exists and is no socket");
+  sockaddr_un name{};
+  name.sun_family = AF_UNIX;
+  std::strncpy(name.sun_path, path.c_str(), sizeof(name.sun_path) - 1);
+  const int probe = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  const bool answered = probe >= 0 && connect(probe, reinterpret_cast<const sockaddr*>(&name), sizeof(name)) == 0;
+  if (probe >= 0) close(probe);
+  if (answered) throw Error(ErrorCode::kUnavailable, "address unix:" + path + " is in use by another process");
+  std::filesystem::remove(path, error);
+}
+
+std::string socket_path(const std::string& address) {
+  if (address.rfind("unix:", 0) != 0) return "";
+  std::string path = address.substr(5);
+  if (path.rfind("//", 0) == 0) path.erase(0, 2);  // unix:///absolute
+  return path;
+}
+
+std::shared_ptr<grpc::ServerCredentials> server_credentials(const ServerOptions& options) {
+  if (!options.tls.enabled()) {
+    if (!is_local_address(options.listen)) {
+      throw_invalid_argument("listen address " + options.listen +
+                             " is not local: it needs --tls-ca, --tls-certificate " + "and --tls-key");
+    }
+    return grpc::InsecureServerCredentials();
+  }
+  check_tls(options.tls);
+  grpc::SslServerCredentialsOptions ssl(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
+  ssl.pem_root_certs = read_pem(options.tls.ca_file);
+  ssl.pem_key_cert_pairs.push_back({read_pem(options.tls.key_file), read_pem(options.tls.certificate_file)});
+  return grpc::SslServerCredentials(ssl);
+}
+
+}  // namespace
+
+void add_options(config::Options& options, ServerOptions& server) {
+  options.add("listen", server.listen, "address: unix:PATH or HOST:PORT; not local needs the three TLS files")
+      .add("tls-ca", server.tls.ca_file, "PEM file of the authority that signs clients' certificates")
+      .add("tls-certificate", server.tls.certificate_file, "PEM file of this service's certificate")
+      .add("tls-key", server.tls.key_file, "PEM file of its key")
+      .add("reflection", server.reflection, "offer gRPC reflection")
+      .add("metrics-listen", server.metrics_listen, "Prometheus endpoint 127.0.0.1:PORT; empty: none")
+      .add("drain-s", server.drain_s, "seconds that calls may take to end after the first signal")
+      .add("max-threads", server.max_threads, "threads for calls in flight")
+      .add("die-with-parent", server.die_with_parent, "end when the process that started this one ends")
+      .add("log-level", server.log.level, "trace, debug, info, warn, error, off")
+      .add("log-format", server.log.format, "console or json");
+}
+
+struct Server::State {
+  std::vector<HostedService> services;
+  std::string address;
+  double drain_s = 0;
+  std::unique_ptr<grpc::Server> server;
+  std::once_flag stopped;
+};
+
+Server::Server(const ServerOptions& options, const std::vector<HostedService>& services)
+    : state_(std::make_unique<State>()) {
+  if (options.listen.empty()) throw_invalid_argument("no listen address");
+  if (options.max_threads < 4) throw_invalid_argument("max-threads: at least 4");
+  const std::string path = socket_path(options.listen);
+  if (!path.empty()) {
+    if (path.size() >= sizeof(sockaddr_un::sun_path)) {
+      throw_invalid_argument("socket path " + path + " is longer than " +
+                             std::to_string(sizeof(sockaddr_un::sun_path) - 1) + " characters");
+    }
+    clear_socket(path);
+  }
+  static std::once_flag plugins;
+  std::call_once(plugins, [] { grpc::EnableDefaultHealthCheckService(true); });
+  if (options.reflection) {
+    static std::once_flag reflection;
+    std::call_once(reflection, [] { grpc::reflection::InitProtoReflectionServerBuilderPlugin(); });
+  }
+
+  grpc::ServerBuilder builder;
+  int port = 0;
+  builder.AddListeningPort(options.listen, server_credentials(options), &port);
+  builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
+  builder.SetMaxSendMessageSize(kMaxMessageBytes);
+  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);  // a port that is taken is an error, not shared
+  builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 15'000);
+  grpc::ResourceQuota quota("pleat");
+  quota.SetMaxThreads(options.max_threads);
+  builder.SetResourceQuota(quota);
+  for (const HostedService& hosted : services) builder.RegisterService(hosted.service);
+  state_->server = builder.BuildAndStart();
+  if (state_->server == nullptr) {
+    throw Error(ErrorCode::kUnavailable,
+                "can't listen on " + options.listen + ": the address is in use or not allowed");
+  }
+  state_->services = services;
+  state_->drain_s = options.drain_s;
+  state_->address = options.listen;
+  const std::size_t colon = options.listen.rfind(':');
+  if (path.empty() && colon != std::string::npos && options.listen.substr(colon) == ":0") {
+    state_->address = options.listen.substr(0, colon + 1) + std::to_string(port);
+  }
+  for (const HostedService& hosted : services) {
+    state_->server->GetHealthCheckService()->SetServingStatus(hosted.name, true);
+  }
+}
+
+Server::~Server() { stop(); }
+
+const std::string& Server::address() const { return state_->address; }
+
+void Server::stop() {
+  std::call_once(state_->stopped, [&] {
+    if (state_->server == nullptr) return;
+    state_->server->GetHealthCheckService()->SetServingStatus(false);
+    for (const HostedService& hosted : state_->services) {
+      if (hosted.drain) hosted.drain();
+    }
+    const auto drain = std::chrono::duration<double>(state_->drain_s);
+    state_->server->Shutdown(std::chrono::system_clock::now() +
+                             std::chrono::duration_cast<std::chrono::system_clock::duration>(drain));
+    state_->server->Wait();
+    const std::string path = socket_path(state_->address);
+    std::error_code error;
+    if (!path.empty()) std::filesystem::remove(path, error);
+  });
+}
+
+int run_server(const ServerOptions& options, const std::vector<HostedService>& services, telemetry::Metrics& metrics) {
+  if (options.die_with_parent) {
+    // The kernel sends it when the thread that started this process ends.
+    const pid_t parent = getppid();
+    prctl(PR_SET_PDEATHSIG, SIGTERM);
+    if (getppid() != parent) throw Error(ErrorCode::kCancelled, "the parent process has ended");
+  }
+  if (!options.metrics_listen.empty()) metrics.serve(options.metrics_listen);
+  Server server(options, services);
+  spdlog::info("serving at {}", server.address());
+  std::printf("ready %s\n", server.address().c_str());
+  std::fflush(stdout);
+
+  const sigset_t signals = stop_signals();
+  int signal = 0;
+  sigwait(&signals, &signal);
+  spdlog::info("{}: draining for at most {} s", strsignal(signal), options.drain_s);
+  std::thread impatient([signals, limit = static_cast<time_t>(options.drain_s) + 10] {
+    // A second signal, or a handler that ignores being cancelled, ends the process without further ado.
+    const timespec timeout{limit, 0};
+    const int second = sigtimedwait(&signals, nullptr, &timeout);
+    _exit(second > 0 ? 128 + second : 1);
+  });
+  impatient.detach();
+  server.stop();
+  spdlog::info("stopped");
+  spdlog::default_logger()->flush();
+  return 0;
+}
+
+int service_main(const std::string& program, const std::function<int()>& body) {
+  const sigset_t signals = stop_signals();
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+  std::signal(SIGPIPE, SIG_IGN);
+  try {
+    return body();
+  } catch (const Error& error) {
+    std::fprintf(stderr, "%s: %s\n", program.c_str(), error.what());
+    const bool usage = error.code() == ErrorCode::kInvalidArgument || error.code() == ErrorCode::kNotFound;
+    return usage ? 2 : 1;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s: %s\n", program.c_str(), error.what());
+    return 1;
+  }
+}
+
+}  // namespace pleat::rpc

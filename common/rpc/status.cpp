@@ -1,0 +1,63 @@
+#include "common/rpc/status.hpp"
+
+#include <array>
+#include <exception>
+#include <new>
+
+namespace pleat::rpc {
+namespace {
+
+constexpr std::array<std::pair<ErrorCode, grpc::StatusCode>, 10> kCodes{{
+    {ErrorCode::kInvalidArgument, grpc::StatusCode::INVALID_ARGUMENT},
+    {ErrorCode::kNotFound, grpc::StatusCode::NOT_FOUND},
+    {ErrorCode::kAlreadyExists, grpc::StatusCode::ALREADY_EXISTS},
+    {ErrorCode::kFailedPrecondition, grpc::StatusCode::FAILED_PRECONDITION},
+    {ErrorCode::kResourceExhausted, grpc::StatusCode::RESOURCE_EXHAUSTED},
+    {ErrorCode::kDataLoss, grpc::StatusCode::DATA_LOSS},
+    {ErrorCode::kUnavailable, grpc::StatusCode::UNAVAILABLE},
+    {ErrorCode::kDeadlineExceeded, grpc::StatusCode::DEADLINE_EXCEEDED},
+    {ErrorCode::kCancelled, grpc::StatusCode::CANCELLED},
+    {ErrorCode::kInternal, grpc::StatusCode::INTERNAL},
+}};
+
+}  // namespace
+
+grpc::StatusCode to_status_code(ErrorCode code) {
+  for (const auto& [ours, theirs] : kCodes) {
+    if (ours == code) return theirs;
+  }
+  return grpc::StatusCode::INTERNAL;
+}
+
+ErrorCode to_error_code(grpc::StatusCode code) {
+  for (const auto& [ours, theirs] : kCodes) {
+    if (theirs == code) return ours;
+  }
+  return ErrorCode::kInternal;
+}
+
+grpc::Status to_status(const Error& error) { return {to_status_code(error.code()), error.what()}; }
+
+Error to_error(const grpc::Status& status, const std::string& peer) {
+  return {to_error_code(status.error_code()), peer + ": " + status.error_message()};
+}
+
+void throw_if_failed(const grpc::Status& status, const std::string& peer) {
+  if (!status.ok()) throw to_error(status, peer);
+}
+
+grpc::Status current_exception_status() {
+  try {
+    throw;
+  } catch (const Error& error) {
+    return to_status(error);
+  } catch (const std::bad_alloc&) {
+    return {grpc::StatusCode::RESOURCE_EXHAUSTED, "out of memory"};
+  } catch (const std::exception& error) {
+    return {grpc::StatusCode::INTERNAL, error.what()};
+  } catch (...) {
+    return {grpc::StatusCode::INTERNAL, "an exception of unknown type"};
+  }
+}
+
+}  // namespace pleat::rpc
