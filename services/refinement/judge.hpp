@@ -20,7 +20,9 @@ using FacePair = std::array<std::uint32_t, 2>;
 /// point; faces with a common vertex or edge intersect if they share a point beyond it. Decisions are exact for the
 /// given floats. A face without area counts as the segment or point that it is.
 /// positions: (V x 3), finite. Throws kInvalidArgument for an index out of range or values that are not finite.
-/// O(F log F + candidate pairs).
+/// At most kMaxReportedPairs pairs are returned. O(F log F + candidate pairs). For many frames of one mesh, keep a
+/// SelfIntersectionFinder.
+inline constexpr std::size_t kMaxReportedPairs = 10'000'000;
 std::vector<FacePair> find_self_intersections(const Positions& positions, const Faces& faces);
 
 /// The number of such pairs.
