@@ -189,7 +189,7 @@ DatasetReader::DatasetReader(const std::filesystem::path& folder) : state_(std::
   master.git_revision = file.string_attribute("/", "git_revision");
   master.topology = store::read_topologies(file);
   if (file.exists("/normalization/minimum")) {
-    Normalization normalization;
+    FeatureRange normalization;
     for (const auto& [name, values] : {std::pair{"/normalization/minimum", &normalization.minimum},
                                        std::pair{"/normalization/maximum", &normalization.maximum}}) {
       if (file.extents(name, 1, 9)[0] != 9)

@@ -29,7 +29,7 @@ struct MeshPair {
 };
 
 /// Range of the nine features (displacement x,y,z, normal x,y,z, velocity x,y,z) over a training split.
-struct Normalization {
+struct FeatureRange {
   std::array<float, 9> minimum{};
   std::array<float, 9> maximum{};
 };
@@ -41,7 +41,7 @@ struct DatasetMaster {
   std::uint64_t seed = 0;
   std::string git_revision;
   MeshPair topology;
-  std::optional<Normalization> normalization;
+  std::optional<FeatureRange> normalization;
   std::vector<std::string> sequences;  ///< names; the file of each is sequences/<name>.h5
 };
 
