@@ -1,0 +1,127 @@
+#include "services/simulation/scene_messages.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <string>
+
+#include "common/base/error.hpp"
+#include "common/frame/messages.hpp"
+
+namespace pleat::simulation {
+namespace {
+
+using Eigen::Vector3d;
+using Values = google::protobuf::RepeatedField<double>;
+
+Vector3d vector_from(const Values& values, const std::string& field, const Vector3d& otherwise = Vector3d::Zero()) {
+  if (values.empty()) return otherwise;
+  if (values.size() != 3) throw_invalid_argument(field + ": " + std::to_string(values.size()) + " values instead of 3");
+  return {values[0], values[1], values[2]};
+}
+
+// Axis times angle.
+Vector3d rotation_from(const Values& axis, double angle_deg, const std::string& field) {
+  const Vector3d direction = vector_from(axis, field + ".axis");
+  const double length = direction.norm();
+  if (axis.empty() && angle_deg != 0) throw_invalid_argument(field + ": an angle without an axis");
+  if (axis.empty()) return Vector3d::Zero();
+  if (!(length > 0)) throw_invalid_argument(field + ".axis: has no direction");
+  return direction / length * (angle_deg * std::numbers::pi / 180);
+}
+
+Motion motion_from(const google::protobuf::RepeatedPtrField<v1::KeyFrame>& keys, const std::string& field) {
+  Motion motion;
+  for (int i = 0; i < keys.size(); ++i) {
+    const std::string name = field + ".motion[" + std::to_string(i) + "]";
+    motion.keys.push_back({keys[i].time_s(), vector_from(keys[i].translation(), name + ".translation"),
+                           rotation_from(keys[i].axis(), keys[i].angle_deg(), name)});
+  }
+  return motion;
+}
+
+Obstacle obstacle_from(const v1::Obstacle& message, const std::string& field) {
+  Obstacle obstacle;
+  obstacle.name = message.name();
+  switch (message.shape_case()) {
+    case v1::Obstacle::kSphere:
+      obstacle.center = vector_from(message.sphere().center(), field + ".sphere.center");
+      obstacle.radius = message.sphere().radius();
+      if (!(obstacle.radius > 0)) throw_invalid_argument(field + ".sphere.radius must be positive");
+      break;
+    case v1::Obstacle::kMesh:
+      obstacle.mesh = from_message(message.mesh(), field + ".mesh");
+      break;
+    case v1::Obstacle::kMeshFile:
+      throw_invalid_argument(field + ".mesh_file: on the wire the mesh itself is needed, not its file");
+    case v1::Obstacle::SHAPE_NOT_SET:
+      throw_invalid_argument(field + ": has no shape");
+  }
+  obstacle.motion = motion_from(message.motion(), field);
+  return obstacle;
+}
+
+// Message fields are unsigned; beyond every limit they must not become negative.
+int bounded(std::uint64_t value) { return static_cast<int>(std::min<std::uint64_t>(value, 1u << 30)); }
+
+}  // namespace
+
+Scene scene_from_message(const v1::Scene& m) {
+  Scene scene;
+  scene.name = m.name();
+  if (m.has_garment_file()) {
+    throw_invalid_argument("scene.garment_file: on the wire the mesh itself is needed, not its file");
+  }
+  if (!m.has_garment_mesh()) throw_invalid_argument("scene.garment_mesh is missing");
+  scene.garment = from_message(m.garment_mesh(), "scene.garment_mesh");
+  scene.transform.translation = vector_from(m.placement().translation(), "scene.placement.translation");
+  scene.transform.rotation = rotation_from(m.placement().axis(), m.placement().angle_deg(), "scene.placement");
+  scene.perturbation_m = m.perturbation_m();
+
+  if (m.has_material_file()) {
+    throw_invalid_argument("scene.material_file: on the wire the material's JSON is needed, not its file");
+  }
+  if (!m.has_material_json()) throw_invalid_argument("scene.material_json is missing");
+  scene.material = parse_material(m.material_json(), "scene.material_json");
+  const v1::MaterialOptions& options = m.material_options();
+  if (options.has_density_scale()) scene.density_multiplier = options.density_scale();
+  if (options.has_stretching_scale()) scene.stretching_multiplier = options.stretching_scale();
+  if (options.has_bending_scale()) scene.bending_multiplier = options.bending_scale();
+  if (options.has_damping_s()) scene.damping_s = options.damping_s();
+
+  if (m.frame_time_s() != 0) scene.frame_time_s = m.frame_time_s();
+  if (m.steps_per_frame() != 0) scene.steps_per_frame = bounded(m.steps_per_frame());
+  scene.frames = bounded(m.frames());
+  scene.gravity = vector_from(m.gravity(), "scene.gravity", scene.gravity);
+  if (m.wind().has_density()) scene.wind.density = m.wind().density();
+  scene.wind.velocity = vector_from(m.wind().velocity(), "scene.wind.velocity");
+  scene.wind.drag = m.wind().drag();
+
+  for (int h = 0; h < m.handles_size(); ++h) {
+    const v1::Handle& from = m.handles(h);
+    Handle handle;
+    handle.vertices.assign(from.vertices().begin(), from.vertices().end());
+    handle.start_s = from.start_s();
+    if (from.has_end_s()) handle.end_s = from.end_s();
+    if (from.has_stiffness()) handle.stiffness = from.stiffness();
+    handle.hard = from.hard();
+    handle.motion = motion_from(from.motion(), "scene.handles[" + std::to_string(h) + "]");
+    scene.handles.push_back(std::move(handle));
+  }
+  for (int o = 0; o < m.obstacles_size(); ++o) {
+    scene.obstacles.push_back(obstacle_from(m.obstacles(o), "scene.obstacles[" + std::to_string(o) + "]"));
+  }
+  if (m.contact().has_thickness()) scene.contact.thickness = m.contact().thickness();
+  if (m.contact().has_stiffness()) scene.contact.stiffness = m.contact().stiffness();
+  if (m.contact().has_self_collision()) scene.contact.self_collision = m.contact().self_collision();
+  if (m.has_friction()) scene.contact.friction = m.friction();
+  if (m.has_obstacle_friction()) scene.contact.obstacle_friction = m.obstacle_friction();
+  if (m.has_subdivision_rounds()) scene.subdivision_rounds = bounded(m.subdivision_rounds());
+  if (m.tracking().has_spring()) scene.tracking.spring = m.tracking().spring();
+  if (m.tracking().has_two_level()) scene.tracking.two_level = m.tracking().two_level();
+  scene.seed = m.seed();
+  validate_scene(scene);
+  return scene;
+}
+
+}  // namespace pleat::simulation
