@@ -17,16 +17,19 @@ constexpr const char* kMetadataFile = "pleat.json";
 /// LibTorch's messages have a stack trace below; the first line names the cause.
 std::string first_line(const std::string& text) { return text.substr(0, text.find('\n')); }
 
-void flush_to_disk(const std::string& path) {
-  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-  if (file < 0) throw Error(ErrorCode::kResourceExhausted, path + ": " + std::strerror(errno));
-  const int result = ::fsync(file);
-  const int error = errno;
-  ::close(file);
-  if (result != 0) throw Error(ErrorCode::kResourceExhausted, path + ": " + std::strerror(error));
-}
-
 }  // namespace
+
+void publish_file(const std::string& partial, const std::string& path) {
+  const int file = ::open(partial.c_str(), O_RDONLY | O_CLOEXEC);
+  if (file < 0) throw Error(ErrorCode::kResourceExhausted, partial + ": " + std::strerror(errno));
+  const int result = ::fsync(file);
+  const int cause = errno;
+  ::close(file);
+  if (result != 0) throw Error(ErrorCode::kResourceExhausted, partial + ": " + std::strerror(cause));
+  std::error_code error;
+  std::filesystem::rename(partial, path, error);
+  if (error) throw Error(ErrorCode::kResourceExhausted, path + ": can't rename: " + error.message());
+}
 
 void save_bundle(const torch::jit::Module& module, const Metadata& metadata, const std::string& path) {
   const std::string partial = path + ".partial";
@@ -36,10 +39,7 @@ void save_bundle(const torch::jit::Module& module, const Metadata& metadata, con
     throw Error(ErrorCode::kResourceExhausted,
                 partial + ": can't write: " + first_line(error.what_without_backtrace()));
   }
-  flush_to_disk(partial);
-  std::error_code error;
-  std::filesystem::rename(partial, path, error);
-  if (error) throw Error(ErrorCode::kResourceExhausted, path + ": can't rename: " + error.message());
+  publish_file(partial, path);
 }
 
 torch::jit::Module load_bundle(const std::string& path, Metadata& metadata) {

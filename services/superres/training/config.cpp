@@ -1,0 +1,232 @@
+#include "services/superres/training/config.hpp"
+
+#include <cmath>
+#include <fstream>
+#include <functional>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "common/base/error.hpp"
+
+namespace pleat::superres {
+namespace {
+
+using nlohmann::json;
+
+/// One visit lists every key of a section once; reading and writing share it.
+template <typename Visitor, typename Config>
+void visit(Visitor& v, Config& c) {
+  v.value("name", c.name);
+  v.value("dataset", c.dataset);
+  v.value("output", c.output);
+  v.value("seed", c.seed);
+  v.section("architecture", [&] {
+    v.value("blocks", c.architecture.blocks);
+    v.value("layers", c.architecture.layers);
+    v.value("growth", c.architecture.growth);
+    v.value("features", c.architecture.features);
+    v.value("upsampling", c.architecture.upsampling);
+    v.value("residual", c.architecture.residual);
+    v.value("conditioned", c.architecture.conditioned);
+  });
+  v.section("images", [&] {
+    v.range("coarse_width", c.images.coarse_width, 0, 2048);
+    v.range("coarse_height", c.images.coarse_height, 0, 2048);
+    v.range("texels_per_fine_vertex", c.images.texels_per_fine_vertex, 0.5, 100);
+    v.choice("method", c.images.method, {"fitted", "sampled"});
+    v.range("lambda", c.images.lambda, 1e-12, 1e3);
+  });
+  v.section("losses", [&] {
+    v.range("displacement", c.losses.displacement, 0, 1e6);
+    v.range("normal", c.losses.normal, 0, 1e6);
+    v.range("velocity", c.losses.velocity, 0, 1e6);
+    v.range("kinematic", c.losses.kinematic, 0, 1e6);
+    v.range("frames", c.losses.frames, 1, 16);
+    v.choice("target", c.losses.target, {"synthesized", "ground_truth"});
+    v.choice("alignment", c.losses.alignment, {"exact", "shared"});
+    v.choice("scaling", c.losses.scaling, {"none", "deviation"});
+  });
+  v.section("optimizer", [&] {
+    v.range("learning_rate", c.optimizer.learning_rate, 0, 10);
+    v.range("beta1", c.optimizer.beta1, 0, 0.99999);
+    v.range("beta2", c.optimizer.beta2, 0, 0.9999999);
+    v.range("epsilon", c.optimizer.epsilon, 1e-20, 1);
+    v.range("clip", c.optimizer.clip, 0, 1e12);
+    v.range("average", c.optimizer.average, 0, 0.999999);
+  });
+  v.section("schedule", [&] {
+    v.choice("kind", c.schedule.kind, {"step", "cosine", "constant"});
+    v.range("step_epochs", c.schedule.step_epochs, 1, 1000000);
+    v.range("fixed_after", c.schedule.fixed_after, 0, 1000000);
+    v.choice("progress", c.schedule.progress, {"epochs", "minutes"});
+    v.range("final_factor", c.schedule.final_factor, 0, 1);
+    v.range("warm_up_steps", c.schedule.warm_up_steps, 0, 1000000);
+  });
+  v.section("validation", [&] {
+    v.value("split", c.validation.split);
+    v.value("sequences", c.validation.sequences);
+    v.range("every_frames", c.validation.every_frames, 1, 1000000);
+    v.range("every_epochs", c.validation.every_epochs, 1, 1000000);
+  });
+  v.range("epochs", c.epochs, 1, 1000000);
+  v.range("batch", c.batch, 1, 4096);
+  v.range("patch", c.patch, 0, 8192);
+  v.range("steps_per_epoch", c.steps_per_epoch, 0, 100000000);
+  v.value("mirror", c.mirror);
+  v.choice("precision", c.precision, {"float32", "bfloat16"});
+  v.choice("device", c.device, {"auto", "cpu", "cuda"});
+  v.choice("cache", c.cache, {"uint16", "float32"});
+  v.range("cache_limit_mb", c.cache_limit_mb, 1, 100000000);
+  v.range("threads", c.threads, 0, 4096);
+  v.range("max_minutes", c.max_minutes, 0, 1e7);
+  v.range("checkpoint_minutes", c.checkpoint_minutes, 0, 1e6);
+  v.value("initial", c.initial);
+}
+
+class Reader {
+ public:
+  Reader(json document, std::string source) : current_(std::move(document)), source_(std::move(source)) {}
+
+  template <typename T>
+  void value(const char* key, T& target) {
+    const auto it = current_.find(key);
+    if (it == current_.end()) return;
+    const bool number_ok = !std::is_same_v<T, std::uint64_t> || it->is_number_unsigned();
+    const bool integer_ok = !(std::is_same_v<T, int>) || it->is_number_integer();
+    const bool bool_ok = std::is_same_v<T, bool> == it->is_boolean();
+    try {
+      if (!number_ok || !integer_ok || !bool_ok) throw std::invalid_argument(key);
+      target = it->get<T>();
+    } catch (const std::exception&) {
+      throw_invalid_argument(source_ + ": key '" + prefix_ + key + "' has the wrong type");
+    }
+    current_.erase(key);
+  }
+
+  template <typename T>
+  void range(const char* key, T& target, double low, double high) {
+    value(key, target);
+    if (!(static_cast<double>(target) >= low && static_cast<double>(target) <= high)) {
+      std::ostringstream message;
+      message << source_ << ": key '" << prefix_ << key << "' = " << target << " is outside " << low << " to " << high;
+      throw_invalid_argument(message.str());
+    }
+  }
+
+  void choice(const char* key, std::string& target, std::initializer_list<const char*> choices) {
+    value(key, target);
+    std::string list;
+    for (const char* choice : choices) {
+      if (target == choice) return;
+      list += (list.empty() ? "" : ", ") + std::string(choice);
+    }
+    throw_invalid_argument(source_ + ": key '" + prefix_ + key + "' = '" + target + "' is none of " + list);
+  }
+
+  void section(const char* key, const std::function<void()>& body) {
+    json inner = json::object();
+    if (const auto it = current_.find(key); it != current_.end()) {
+      if (!it->is_object()) throw_invalid_argument(source_ + ": key '" + std::string(key) + "' must be an object");
+      inner = *it;
+      current_.erase(key);
+    }
+    std::swap(current_, inner);
+    prefix_ = std::string(key) + ".";
+    body();
+    finish();
+    prefix_.clear();
+    std::swap(current_, inner);
+  }
+
+  void finish() const {
+    if (!current_.empty()) {
+      throw_invalid_argument(source_ + ": unknown key '" + prefix_ + current_.begin().key() + "'");
+    }
+  }
+
+ private:
+  json current_;
+  std::string source_, prefix_;
+};
+
+class Writer {
+ public:
+  template <typename T>
+  void value(const char* key, const T& source) {
+    (*current_)[key] = source;
+  }
+  template <typename T>
+  void range(const char* key, const T& source, double, double) {
+    value(key, source);
+  }
+  void choice(const char* key, const std::string& source, std::initializer_list<const char*>) { value(key, source); }
+  void section(const char* key, const std::function<void()>& body) {
+    current_ = &document[key];
+    body();
+    current_ = &document;
+  }
+  json document = json::object();
+
+ private:
+  json* current_ = &document;
+};
+
+}  // namespace
+
+TrainConfig train_config_from_json(const std::string& text, const std::string& source) {
+  json document;
+  try {
+    document = json::parse(text);
+  } catch (const json::parse_error& error) {
+    throw_invalid_argument(source + ": no JSON, at byte " + std::to_string(error.byte));
+  }
+  if (!document.is_object()) throw_invalid_argument(source + ": must be a JSON object");
+  TrainConfig config;
+  Reader reader(std::move(document), source);
+  visit(reader, config);
+  reader.finish();
+  for (const auto& [key, value] :
+       {std::pair{"name", config.name}, std::pair{"dataset", config.dataset}, std::pair{"output", config.output}}) {
+    if (value.empty()) throw_invalid_argument(source + ": key '" + std::string(key) + "' is missing");
+  }
+  if (config.name.find_first_not_of("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_-") !=
+      std::string::npos) {
+    throw_invalid_argument(source + ": key 'name' may hold letters, digits, '_' and '-' only");
+  }
+  if (config.schedule.kind == "cosine" && config.schedule.progress == "minutes" && config.max_minutes <= 0) {
+    throw_invalid_argument(source + ": key 'schedule.progress' = 'minutes' needs 'max_minutes'");
+  }
+  if ((config.images.coarse_width == 0) != (config.images.coarse_height == 0)) {
+    throw_invalid_argument(source + ": keys 'images.coarse_width' and 'images.coarse_height' go together");
+  }
+  validate(config.architecture);
+  return config;
+}
+
+TrainConfig read_train_config(const std::string& path) {
+  std::ifstream file(path);
+  std::stringstream text;
+  text << file.rdbuf();
+  if (!file) throw_not_found(path + ": can't be read");
+  return train_config_from_json(text.str(), path);
+}
+
+std::string to_json(const TrainConfig& config) {
+  Writer writer;
+  visit(writer, config);
+  return writer.document.dump(2);
+}
+
+std::string first_difference(const std::string& a, const std::string& b) {
+  const json left = json::parse(a).flatten(), right = json::parse(b).flatten();
+  static const char* const kFree[] = {"/output",         "/epochs",  "/threads", "/max_minutes", "/checkpoint_minutes",
+                                      "/cache_limit_mb", "/initial", "/dataset"};
+  for (const auto& [key, value] : left.items()) {
+    const bool free = std::any_of(std::begin(kFree), std::end(kFree), [&](const char* k) { return key == k; });
+    if (!free && (!right.contains(key) || right[key] != value)) return key.substr(1);
+  }
+  return "";
+}
+
+}  // namespace pleat::superres

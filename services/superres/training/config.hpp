@@ -1,0 +1,91 @@
+// What pleat-train reads. docs/training.md documents every key; the names here are the names there.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "services/superres/metadata.hpp"
+
+namespace pleat::superres {
+
+struct ImagesConfig {
+  int coarse_width = 0, coarse_height = 0;  ///< texels; 0: chosen from texels_per_fine_vertex
+  double texels_per_fine_vertex = 3;
+  std::string method = "fitted";  ///< "fitted" or "sampled" fine images
+  double lambda = 1e-4;           ///< smoothness of fitted images
+};
+
+struct LossConfig {
+  double displacement = 0.9, normal = 0.03, velocity = 0.03, kinematic = 0.03;  ///< weights of [MFSR] eq. 6
+  int frames = 3;                                                               ///< n of eq. 5
+  std::string target = "synthesized";  ///< d_k of eq. 5: "synthesized" (the paper) or "ground_truth" (its supplement)
+  std::string alignment = "exact";     ///< "exact": each frame's own rigid alignment; "shared": the first one's, eq. 5
+  /// "none": mean squares in normalised units, as published; "deviation": each channel is divided by the deviation of
+  /// what the bilinearly upsampled coarse image lacks, so that the weights compare like with like.
+  std::string scaling = "none";
+};
+
+struct OptimizerConfig {
+  double learning_rate = 1e-4, beta1 = 0.9, beta2 = 0.9, epsilon = 1e-8;
+  double clip = 0;  ///< largest norm of the whole gradient; 0: no limit
+  double average =
+      0;  ///< decay of the running mean of the weights that is validated and kept; 0: the weights themselves
+};
+
+struct ScheduleConfig {
+  std::string kind = "step";        ///< "step", "cosine" or "constant"
+  int step_epochs = 20;             ///< "step": divided by 10 every so many epochs ...
+  int fixed_after = 60;             ///< ... until this epoch
+  std::string progress = "epochs";  ///< "cosine": "epochs" of `epochs`, or "minutes" of `max_minutes`
+  double final_factor = 0.01;       ///< "cosine": last rate over the first
+  int warm_up_steps = 0;            ///< linear rise at the beginning
+};
+
+struct ValidationConfig {
+  std::string split = "test";          ///< used if `sequences` is empty
+  std::vector<std::string> sequences;  ///< named ones; they are left out of training whatever their split
+  int every_frames = 8;                ///< every so-manieth frame
+  int every_epochs = 1;
+};
+
+struct TrainConfig {
+  std::string name;     ///< of the bundle
+  std::string dataset;  ///< folder
+  std::string output;   ///< folder: NAME.pt, log.csv, checkpoint.pt
+  std::uint64_t seed = 1;
+  Architecture architecture;
+  ImagesConfig images;
+  LossConfig losses;
+  OptimizerConfig optimizer;
+  ScheduleConfig schedule;
+  ValidationConfig validation;
+  int epochs = 120;
+  int batch = 16;           ///< windows a step; a window has losses.frames + 1 frames if losses.kinematic > 0, else 1
+  int patch = 72;           ///< side of the coarse patches in texels; 0 or more than the image: whole images
+  int steps_per_epoch = 0;  ///< 0: as many as show as many frames as the training split has
+  bool mirror = false;      ///< mirrored copies in u, v and across the sheet; needs a flat rest mesh
+  std::string precision = "float32";  ///< of the body: "float32" or "bfloat16"
+  std::string device = "auto";        ///< "auto", "cpu" or "cuda"
+  std::string cache = "uint16";       ///< images in memory: "uint16" (fixed point, 3e-5 of the range) or "float32"
+  int cache_limit_mb = 8192;
+  int threads = 0;         ///< 0: all processors this process may use
+  double max_minutes = 0;  ///< wall clock over all resumed runs; 0: no limit
+  double checkpoint_minutes = 2;
+  std::string initial;  ///< check-point whose weights begin the training; empty: fresh weights
+};
+
+/// Reads JSON. An unknown key, an ill-typed value or one out of range is kInvalidArgument and names the key with its
+/// place, for example "optimizer.learning_rate"; text that is no JSON too.
+TrainConfig train_config_from_json(const std::string& text, const std::string& source);
+/// The same from a file. kNotFound if it can't be read.
+TrainConfig read_train_config(const std::string& path);
+
+/// All keys, with defaults filled in.
+std::string to_json(const TrainConfig& config);
+
+/// The first key, among those that change what is computed, in which two configurations differ; "" if none. Time
+/// limits, threads, folders and the number of epochs may change between a run and its resumption.
+std::string first_difference(const std::string& a, const std::string& b);
+
+}  // namespace pleat::superres

@@ -1,0 +1,93 @@
+// Pairs of coarse and fine images in memory: what training reads.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "services/superres/metadata.hpp"
+#include "services/superres/training/config.hpp"
+
+namespace pleat::superres {
+
+/// Images (9, h, w) of equal size, kept as float32 or as 16-bit fixed point over [-0.5, 1.5): a step of 3e-5, an RMS
+/// error of 9e-6 (100 dB), where half precision would have 2e-4 near 1. Values beyond are clamped.
+class ImageStore {
+ public:
+  ImageStore() = default;
+  ImageStore(int height, int width, bool fixed_point) : height_(height), width_(width), fixed_point_(fixed_point) {}
+
+  void append(std::span<const float> image);
+  /// Copies the window of `height` x `width` texels from (row, column) of every channel to target (9, height, width).
+  void read(std::size_t index, int row, int column, int height, int width, float* target) const;
+  std::size_t size() const { return count_; }
+  int height() const { return height_; }
+  int width() const { return width_; }
+  std::size_t bytes() const { return fixed_.size() * 2 + float_.size() * 4; }
+  void reserve(std::size_t images);
+
+ private:
+  int height_ = 0, width_ = 0;
+  bool fixed_point_ = false;
+  std::size_t count_ = 0;
+  std::vector<std::uint16_t> fixed_;
+  std::vector<float> float_;
+};
+
+/// One sequence of consecutive frames.
+struct PairSequence {
+  std::string name;
+  bool validation = false;
+  ImageStore coarse, fine;                      ///< normalised, one image a frame
+  std::vector<std::array<float, 9>> rotations;  ///< of the rigid alignment (world to rest), row-major, per frame
+};
+
+/// Data set as images.
+struct PairData {
+  std::vector<PairSequence> sequences;
+  std::vector<std::uint8_t> fine_mask;  ///< (H W): 1 where a texel holds a value of its own
+  Normalization normalization;
+  double frame_time_s = 0;
+  std::string topology_hash;  ///< of the coarse mesh
+  std::string image_spec = "{}";
+  std::string description = "{}";  ///< JSON about the data set, for the bundle
+  /// Directions of u and v in the rest mesh if that is flat, else empty. Needed for mirrored copies.
+  std::vector<std::array<float, 3>> sheet_axes;
+
+  int coarse_height() const { return sequences.front().coarse.height(); }
+  int coarse_width() const { return sequences.front().coarse.width(); }
+  std::size_t training_frames() const;
+  /// Throws kInvalidArgument unless there are training sequences, sizes agree (fine = 4 x coarse), and every sequence
+  /// has at least one frame.
+  void check() const;
+};
+
+/// Judges fine images as meshes.
+class MeshJudge {
+ public:
+  virtual ~MeshJudge() = default;
+  /// Mean over the fine vertices of the squared distance to the simulated fine mesh, m^2.
+  /// fine_image: (9, H, W) normalised.
+  virtual double squared_error(std::size_t sequence, std::size_t frame, std::span<const float> fine_image) = 0;
+  /// The same for barycentric upsampling of the coarse mesh.
+  virtual double barycentric_squared_error(std::size_t sequence, std::size_t frame) = 0;
+  /// The normalised fine image (9, H, W) of the barycentrically upsampled coarse mesh.
+  virtual std::vector<float> barycentric_image(std::size_t sequence, std::size_t frame) = 0;
+};
+
+struct LoadedPairs {
+  PairData data;
+  std::unique_ptr<MeshJudge> judge;
+};
+
+/// Reads a data set (DESIGN section 4), converts every frame and normalises it. `report` gets lines about the progress.
+/// Throws kNotFound, kDataLoss, kInvalidArgument (no normalisation, sequences of other meshes, unknown names),
+/// kResourceExhausted if the images would need more than config.cache_limit_mb.
+LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report);
+
+}  // namespace pleat::superres

@@ -1,0 +1,203 @@
+#include "services/superres/training/sampler.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <numeric>
+
+#include "common/base/error.hpp"
+
+namespace pleat::superres {
+namespace {
+
+/// splitmix64, seeded by several words.
+class Random {
+ public:
+  template <typename... Words>
+  explicit Random(Words... words) {
+    ((state_ = next() ^ static_cast<std::uint64_t>(words)), ...);
+  }
+  std::uint64_t next() {
+    state_ += 0x9E3779B97F4A7C15ull;
+    std::uint64_t z = state_;
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ull;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBull;
+    return z ^ (z >> 31);
+  }
+  /// Below `bound`; its bias of bound / 2^64 does not matter here.
+  std::size_t below(std::size_t bound) { return static_cast<std::size_t>(next() % bound); }
+
+ private:
+  std::uint64_t state_ = 0;
+};
+
+using Matrix = std::array<std::array<double, 3>, 3>;
+
+Matrix reflection(const std::array<float, 3>& normal) {
+  double length = 0;
+  for (const float n : normal) length += static_cast<double>(n) * n;
+  Matrix m{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = 0; j < 3; ++j) m[i][j] = (i == j ? 1.0 : 0.0) - 2.0 * normal[i] * normal[j] / length;
+  }
+  return m;
+}
+
+Matrix multiply(const Matrix& a, const Matrix& b) {
+  Matrix m{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = 0; j < 3; ++j) {
+      for (std::size_t k = 0; k < 3; ++k) m[i][j] += a[i][k] * b[k][j];
+    }
+  }
+  return m;
+}
+
+/// How a mirrored copy of a flat sheet is made: images reversed along u or v, vectors reflected, normals turned when
+/// the reflection goes across the sheet (then du x dv keeps its sense while space does not).
+struct Mirror {
+  bool reverse_u = false, reverse_v = false, across = false;
+  Matrix matrix{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+  bool any() const { return reverse_u || reverse_v || across; }
+};
+
+Mirror draw_mirror(Random& random, const std::vector<std::array<float, 3>>& axes) {
+  Mirror mirror;
+  const std::uint64_t bits = random.next();
+  mirror.reverse_u = (bits & 1) != 0, mirror.reverse_v = (bits & 2) != 0, mirror.across = (bits & 4) != 0;
+  const auto& u = axes[0];
+  const auto& v = axes[1];
+  const std::array<float, 3> normal{u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+  if (mirror.reverse_u) mirror.matrix = multiply(reflection(u), mirror.matrix);
+  if (mirror.reverse_v) mirror.matrix = multiply(reflection(v), mirror.matrix);
+  if (mirror.across) mirror.matrix = multiply(reflection(normal), mirror.matrix);
+  return mirror;
+}
+
+torch::Tensor mirror_image(const torch::Tensor& image, const Mirror& mirror, const Normalization& normalization) {
+  torch::Tensor result = image;
+  if (mirror.reverse_u) result = result.flip({2});
+  if (mirror.reverse_v) result = result.flip({1});
+  // t' = (S (t range + minimum) - minimum) / range, with S the reflection of each of the three vectors.
+  const auto scale = torch::zeros({kChannels, kChannels}), offset = torch::zeros({kChannels, 1, 1});
+  auto s = scale.accessor<float, 2>();
+  auto o = offset.accessor<float, 3>();
+  for (std::size_t c = 0; c < kChannels; ++c) {
+    const std::size_t vector = c / 3;
+    const double sign = vector == 1 && mirror.across ? -1.0 : 1.0;
+    const double range = static_cast<double>(normalization.maximum[c]) - normalization.minimum[c];
+    double shift = -normalization.minimum[c];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t from = 3 * vector + k;
+      const double factor = sign * mirror.matrix[c % 3][k];
+      const double from_range = static_cast<double>(normalization.maximum[from]) - normalization.minimum[from];
+      s[static_cast<std::int64_t>(c)][static_cast<std::int64_t>(from)] =
+          static_cast<float>(factor * from_range / range);
+      shift += factor * normalization.minimum[from];
+    }
+    o[static_cast<std::int64_t>(c)][0][0] = static_cast<float>(shift / range);
+  }
+  return torch::einsum("ij,jhw->ihw", {scale, result}) + offset;
+}
+
+}  // namespace
+
+Sampler::Sampler(const TrainConfig& config, const PairData& data) : config_(config), data_(data) {
+  data.check();
+  frames_ = config.losses.kinematic > 0 ? config.losses.frames + 1 : 1;
+  const int height = data.coarse_height(), width = data.coarse_width();
+  patch_height_ = config.patch == 0 ? height : std::min(config.patch, height);
+  patch_width_ = config.patch == 0 ? width : std::min(config.patch, width);
+  for (std::size_t s = 0; s < data.sequences.size(); ++s) {
+    const std::size_t length = data.sequences[s].coarse.size();
+    if (data.sequences[s].validation) continue;
+    for (std::size_t f = 0; f + static_cast<std::size_t>(frames_) <= length; ++f) windows_.push_back({s, f});
+  }
+  if (windows_.empty()) {
+    throw_invalid_argument("data set: no training sequence has " + std::to_string(frames_) + " frames");
+  }
+  if (config.mirror && data.sheet_axes.size() != 2) {
+    throw_invalid_argument("key 'mirror': the rest mesh is not flat, its mirror image is another garment");
+  }
+  const double texels = static_cast<double>(data.training_frames()) * height * width;
+  const double step_texels = static_cast<double>(config.batch) * frames_ * patch_height_ * patch_width_;
+  steps_ = config.steps_per_epoch > 0 ? config.steps_per_epoch
+                                      : std::max(1, static_cast<int>(std::ceil(texels / step_texels)));
+}
+
+std::vector<Sampler::Window> Sampler::windows_of(int epoch, int step) const {
+  const std::size_t count = windows_.size();
+  const auto batch = static_cast<std::size_t>(config_.batch);
+  std::vector<std::size_t> order(count);
+  std::vector<Window> result;
+  std::size_t shuffled_round = count;  // none yet
+  for (std::size_t i = static_cast<std::size_t>(step) * batch; result.size() < batch; ++i) {
+    const std::size_t round = i / count;
+    if (shuffled_round != round || result.empty()) {
+      std::iota(order.begin(), order.end(), std::size_t{0});
+      Random random(config_.seed, epoch, round, 1);
+      for (std::size_t k = count; k > 1; --k) std::swap(order[k - 1], order[random.below(k)]);
+      shuffled_round = round;
+    }
+    result.push_back(windows_[order[i % count]]);
+  }
+  return result;
+}
+
+std::string Sampler::describe(int epoch, int step) const {
+  std::string text;
+  for (const Window& window : windows_of(epoch, step)) {
+    text += (text.empty() ? "" : ", ") + data_.sequences[window.sequence].name + ":" + std::to_string(window.first);
+  }
+  return text;
+}
+
+Batch Sampler::batch(int epoch, int step) const {
+  const auto windows = windows_of(epoch, step);
+  const auto images = static_cast<std::int64_t>(windows.size()) * frames_;
+  const int h = patch_height_, w = patch_width_, fine_h = kScale * h, fine_w = kScale * w;
+  Batch batch;
+  batch.frames = frames_;
+  batch.coarse = torch::empty({images, kChannels, h, w});
+  batch.fine = torch::empty({images, kChannels, fine_h, fine_w});
+  batch.mask = torch::empty({images, 1, fine_h, fine_w});
+  batch.rotations = torch::empty({images, 3, 3});
+  Random random(config_.seed, epoch, step, 2);
+  std::int64_t n = 0;
+  for (const Window& window : windows) {
+    const PairSequence& sequence = data_.sequences[window.sequence];
+    const auto row = static_cast<int>(random.below(static_cast<std::size_t>(data_.coarse_height() - h) + 1));
+    const auto column = static_cast<int>(random.below(static_cast<std::size_t>(data_.coarse_width() - w) + 1));
+    const Mirror mirror = config_.mirror ? draw_mirror(random, data_.sheet_axes) : Mirror{};
+    for (int f = 0; f < frames_; ++f, ++n) {
+      const std::size_t frame = window.first + static_cast<std::size_t>(f);
+      auto coarse = batch.coarse[n], fine = batch.fine[n], mask = batch.mask[n];
+      sequence.coarse.read(frame, row, column, h, w, coarse.data_ptr<float>());
+      sequence.fine.read(frame, kScale * row, kScale * column, fine_h, fine_w, fine.data_ptr<float>());
+      float* m = mask.data_ptr<float>();
+      for (int r = 0; r < fine_h; ++r) {
+        const auto* source =
+            data_.fine_mask.data() + (kScale * row + r) * kScale * data_.coarse_width() + kScale * column;
+        for (int c = 0; c < fine_w; ++c) *m++ = source[c] != 0 ? 1.0F : 0.0F;
+      }
+      float* rotation = batch.rotations[n].data_ptr<float>();
+      const auto& own = sequence.rotations[frame];
+      for (std::size_t i = 0; i < 3; ++i) {
+        for (std::size_t j = 0; j < 3; ++j) {
+          double sum = 0;
+          for (std::size_t k = 0; k < 3; ++k) sum += mirror.matrix[i][k] * own[3 * k + j];
+          rotation[3 * i + j] = static_cast<float>(sum);
+        }
+      }
+      if (mirror.any()) {
+        coarse.copy_(mirror_image(coarse.clone(), mirror, data_.normalization));
+        fine.copy_(mirror_image(fine.clone(), mirror, data_.normalization));
+        if (mirror.reverse_u) mask.copy_(mask.flip({2}).clone());
+        if (mirror.reverse_v) mask.copy_(mask.flip({1}).clone());
+      }
+    }
+  }
+  return batch;
+}
+
+}  // namespace pleat::superres
