@@ -241,6 +241,24 @@ bool ObstacleField::empty() const {
   return std::none_of(parts_.begin(), parts_.end(), [](const Part& part) { return part.present; });
 }
 
+std::vector<Box> ObstacleField::bounds(double margin) const {
+  std::vector<Box> boxes;
+  for (const Part& part : parts_) {
+    if (!part.present) continue;
+    Box box;
+    if (part.mesh == nullptr) {
+      box.extend(part.center, part.radius + margin);
+    } else {
+      for (const auto& corner : {part.mesh->bounds().lower, part.mesh->bounds().upper}) {
+        box.extend(Vec3(static_cast<double>(corner[0]), static_cast<double>(corner[1]), static_cast<double>(corner[2])),
+                   margin);
+      }
+    }
+    boxes.push_back(box);
+  }
+  return boxes;
+}
+
 std::optional<ObstacleContact> ObstacleField::contact(const Vec3& p, double reach) const {
   std::optional<ObstacleContact> deepest;
   for (const Part& part : parts_) {

@@ -69,6 +69,9 @@ class ObstacleField {
 
   bool empty() const;
 
+  /// A box around each obstacle and everything nearer to it than `margin`: what is outside all of them is clean.
+  std::vector<Box> bounds(double margin) const;
+
   /// The deepest contact of p among the obstacles that p is inside of or nearer to than `reach`.
   std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach) const;
 

@@ -39,16 +39,18 @@ class SelfIntersectionFinder {
   /// `limit` pairs and returns false if there were more.
   bool find(const Positions& positions, std::size_t limit, std::vector<FacePair>& out) const;
 
-  /// Calls visit(face) for every face whose box overlaps that of `face`, itself excluded.
+  /// Calls visit(face) for every face whose box overlaps `box`.
   template <typename Visit>
-  void neighbours(std::uint32_t face, const Visit& visit) const {
-    const Box& box = boxes_[face];
+  void query(const Box& box, const Visit& visit) const {
     tree_.query(box, [&](std::uint32_t patch) {
       for (std::uint32_t f = patch * patch_size_; f < (patch + 1) * patch_size_; ++f) {
-        if (f != face && boxes_[f].overlaps(box)) visit(f);
+        if (boxes_[f].overlaps(box)) visit(f);
       }
     });
   }
+
+  /// The box of a face as of the last update.
+  const Box& box(std::uint32_t face) const { return boxes_[face]; }
 
  private:
   // The patches around a patch corner and their outline, counter-clockwise edges.

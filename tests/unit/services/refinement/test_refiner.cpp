@@ -1,0 +1,198 @@
+#include "services/refinement/refiner.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <limits>
+
+#include "common/base/error.hpp"
+#include "services/refinement/judge.hpp"
+#include "tests/unit/services/refinement/independent_judge.hpp"
+#include "tests/unit/services/refinement/shapes.hpp"
+
+namespace pleat {
+namespace {
+
+using test::Cloth;
+using test::load_cloth;
+
+void expect_clean(const RefinedMesh& result, const Faces& faces) {
+  EXPECT_TRUE(result.report.clean()) << result.report.pairs_after << " pairs, " << result.report.penetrations_after
+                                     << " penetrations";
+  EXPECT_TRUE(result.positions.allFinite());
+  EXPECT_EQ(test::sweep_self_intersections(result.positions, faces).size(), 0u);
+}
+
+class Adversarial : public testing::TestWithParam<const char*> {
+ protected:
+  Adversarial()
+      : cloth(load_cloth(GetParam())),
+        coarse(test::wavy(cloth.coarse.rest_positions)),
+        upsampled(upsample(cloth.subdivision, cloth.coarse.faces, coarse)),
+        refiner(cloth.coarse, cloth.subdivision, {}) {}
+  Cloth cloth;
+  Positions coarse, upsampled;
+  Refiner refiner;
+};
+INSTANTIATE_TEST_SUITE_P(All, Adversarial, testing::Values("tablecloth", "skirt"));
+
+TEST_P(Adversarial, ACleanFrameStaysAsItIs) {
+  const RefinedMesh result = refiner.refine(coarse, upsampled, {});
+  EXPECT_EQ(result.positions, upsampled);
+  EXPECT_EQ(result.report.vertices_moved, 0u);
+  EXPECT_EQ(result.report.zones, 0u);
+  EXPECT_FALSE(result.report.input_intersects);
+}
+
+TEST_P(Adversarial, SmallNoiseIsRepairedInZones) {
+  const Positions fine = upsampled + test::noise(upsampled.rows(), 0.003f, 1);
+  const RefinedMesh result = refiner.refine(coarse, fine, {});
+  EXPECT_GT(result.report.pairs_before, 0u);
+  EXPECT_GT(result.report.zones, 0u);
+  expect_clean(result, cloth.fine().faces);
+  EXPECT_LT(result.report.largest_move_m, 0.02);
+}
+
+TEST_P(Adversarial, NoiseOfFiveCentimetres) {
+  const Positions fine = upsampled + test::noise(upsampled.rows(), 0.05f, 2);
+  const RefinedMesh result = refiner.refine(coarse, fine, {});
+  EXPECT_GT(result.report.pairs_before, 1000u);
+  expect_clean(result, cloth.fine().faces);
+}
+
+TEST_P(Adversarial, TheReflectedMesh) {
+  Positions fine = upsampled;
+  fine.col(0) *= -1;
+  expect_clean(refiner.refine(coarse, fine, {}), cloth.fine().faces);
+  fine = upsampled;
+  fine.col(1) = 0.3f * fine.col(0);
+  expect_clean(refiner.refine(coarse, fine, {}), cloth.fine().faces);
+}
+
+TEST_P(Adversarial, AllVerticesInOnePoint) {
+  const Positions fine = Eigen::RowVector3f(0.1f, 0.2f, 0.3f).replicate(upsampled.rows(), 1);
+  expect_clean(refiner.refine(coarse, fine, {}), cloth.fine().faces);
+}
+
+TEST_P(Adversarial, FarAwayVertices) {
+  Positions fine = upsampled;
+  fine.row(17) << 1000, 1000, 1000;
+  fine.row(4711) << -1e6f, 0, 3;
+  expect_clean(refiner.refine(coarse, fine, {}), cloth.fine().faces);
+}
+
+TEST_P(Adversarial, ASphereThatOverlapsTheFineMesh) {
+  const Eigen::Vector3f center = coarse.row(300).transpose() + Eigen::Vector3f(0, -0.32f, 0);
+  const auto ball = test::sphere("ball", center, 0.3f);
+  const std::vector<ObstacleFrame> obstacles{ball};
+  if (count_penetrations(coarse, cloth.coarse.faces, {}, obstacles) != 0) GTEST_SKIP() << "the coarse frame is inside";
+  Positions fine = upsampled;
+  for (Eigen::Index v = 0; v < fine.rows(); ++v) {  // a dent into the sphere
+    const float distance = (fine.row(v) - coarse.row(300)).norm();
+    fine(v, 1) -= 0.06f * std::exp(-50 * distance * distance);
+  }
+  EXPECT_GT(test::sphere_depth(fine, cloth.fine().faces, center, 0.3f), 0.02);
+  const RefinedMesh result = refiner.refine(coarse, fine, obstacles);
+  EXPECT_GT(result.report.penetrations_before, 0u);
+  expect_clean(result, cloth.fine().faces);
+  EXPECT_LT(test::sphere_depth(result.positions, cloth.fine().faces, center, 0.3f), 1.1e-6);
+}
+
+TEST_P(Adversarial, NoiseAndASphere) {
+  const Eigen::Vector3f center = coarse.row(300).transpose() + Eigen::Vector3f(0, -0.32f, 0);
+  const std::vector<ObstacleFrame> obstacles{test::sphere("ball", center, 0.3f)};
+  if (count_penetrations(coarse, cloth.coarse.faces, {}, obstacles) != 0) GTEST_SKIP() << "the coarse frame is inside";
+  const RefinedMesh result = refiner.refine(coarse, upsampled + test::noise(upsampled.rows(), 0.02f, 3), obstacles);
+  expect_clean(result, cloth.fine().faces);
+  EXPECT_LT(test::sphere_depth(result.positions, cloth.fine().faces, center, 0.3f), 1.1e-6);
+}
+
+TEST(Refiner, KeepsTheWrinklesOfCloth) {
+  // A dent of 1 cm into a sphere, with wrinkles on it: the wrinkles' second differences survive the push.
+  const Cloth cloth = load_cloth("tablecloth");
+  const Positions coarse = cloth.coarse.rest_positions;
+  Positions fine = cloth.fine().rest_positions;
+  for (Eigen::Index v = 0; v < fine.rows(); ++v) fine(v, 1) = 0.004f * std::sin(60 * fine(v, 0));
+  Refiner refiner(cloth.coarse, cloth.subdivision, {});
+  const std::vector<ObstacleFrame> obstacles{test::sphere("ball", {0, -0.5f, 0}, 0.499f)};
+  const RefinedMesh result = refiner.refine(coarse, fine, obstacles);
+  EXPECT_GT(result.report.penetrations_before, 0u);
+  expect_clean(result, cloth.fine().faces);
+  EXPECT_LT(result.report.largest_move_m, 0.015);
+  EXPECT_LT(result.report.vertices_moved, static_cast<std::size_t>(fine.rows()));
+}
+
+TEST(Refiner, AMeshObstacle) {
+  const test::ClosedMesh torus = test::torus(0.3f, 0.1f, 48, 24);
+  const Cloth cloth = load_cloth("tablecloth");
+  Positions coarse = cloth.coarse.rest_positions;
+  coarse.col(1).array() += 0.11f;
+  Positions fine = upsample(cloth.subdivision, cloth.coarse.faces, coarse);
+  for (Eigen::Index v = 0; v < fine.rows(); ++v) fine(v, 1) -= 0.02f + 0.01f * std::sin(50 * fine(v, 0));
+  const std::vector<ObstacleShape> shapes{{"ring", torus.faces}};
+  ObstacleFrame ring;
+  ring.name = "ring";
+  ring.positions = torus.positions;
+  const std::vector<ObstacleFrame> frames{ring};
+  Refiner refiner(cloth.coarse, cloth.subdivision, shapes);
+  const RefinedMesh result = refiner.refine(coarse, fine, frames);
+  EXPECT_GT(result.report.penetrations_before, 100u);
+  expect_clean(result, cloth.fine().faces);
+  EXPECT_EQ(count_penetrations(result.positions, cloth.fine().faces, shapes, frames), 0u);
+  for (Eigen::Index v = 0; v < fine.rows(); v += 7) {
+    EXPECT_LT(test::winding_number(torus.positions, torus.faces, result.positions.row(v).cast<double>()), 0.5) << v;
+  }
+}
+
+TEST(Refiner, ACoarseInputThatIntersectsIsReportedAndNotMadeWorse) {
+  const Cloth cloth = load_cloth("tablecloth");
+  Positions coarse = cloth.coarse.rest_positions;
+  for (Eigen::Index v = 0; v < coarse.rows(); ++v) {  // the right half folded through the left
+    if (coarse(v, 0) > 0) coarse.row(v) << -coarse(v, 0), 0.05f * std::sin(20 * coarse(v, 2)), coarse(v, 2);
+  }
+  ASSERT_GT(count_self_intersections(coarse, cloth.coarse.faces), 0u);
+  const Positions upsampled = upsample(cloth.subdivision, cloth.coarse.faces, coarse);
+  Refiner refiner(cloth.coarse, cloth.subdivision, {});
+  for (const float sigma : {0.f, 0.002f, 0.03f}) {
+    const Positions fine = upsampled + test::noise(upsampled.rows(), sigma, 5);
+    const RefinedMesh result = refiner.refine(coarse, fine, {});
+    EXPECT_TRUE(result.report.input_intersects);
+    EXPECT_LE(result.report.pairs_after, result.report.pairs_before);
+    if (result.report.pairs_before < 50'000) {
+      EXPECT_EQ(result.report.pairs_before, count_self_intersections(fine, cloth.fine().faces));
+      EXPECT_EQ(result.report.pairs_after, count_self_intersections(result.positions, cloth.fine().faces));
+    }
+  }
+}
+
+TEST(Refiner, FramesAreIndependentAndReruns) {
+  const Cloth cloth = load_cloth("tablecloth");
+  const Positions coarse = test::wavy(cloth.coarse.rest_positions);
+  const Positions fine =
+      upsample(cloth.subdivision, cloth.coarse.faces, coarse) + test::noise(cloth.fine().vertex_count(), 0.003f, 6);
+  Refiner used(cloth.coarse, cloth.subdivision, {}), fresh(cloth.coarse, cloth.subdivision, {});
+  used.refine(coarse, fine + test::noise(fine.rows(), 0.05f, 7), {});
+  EXPECT_EQ(used.refine(coarse, fine, {}).positions, fresh.refine(coarse, fine, {}).positions);
+}
+
+TEST(Refiner, BadInputIsRefusedAndTheRefinerStaysUsable) {
+  Cloth cloth;
+  cloth.coarse = test::square_sheet(4, 1);
+  cloth.subdivision = subdivide(cloth.coarse, 2);
+  EXPECT_THROW(Refiner(cloth.coarse, cloth.subdivision, {}, {.clearance_m = -1}), Error);
+  EXPECT_THROW(Refiner(cloth.coarse, cloth.subdivision, {}, {.bisections = 0}), Error);
+  EXPECT_THROW(Refiner(test::square_sheet(5, 1), cloth.subdivision, {}), Error);
+  Refiner refiner(cloth.coarse, cloth.subdivision, {});
+  const Positions &coarse = cloth.coarse.rest_positions, &fine = cloth.fine().rest_positions;
+  EXPECT_THROW(refiner.refine(fine, fine, {}), Error);
+  EXPECT_THROW(refiner.refine(coarse, coarse, {}), Error);
+  Positions broken = fine;
+  broken(3, 0) = std::numeric_limits<float>::infinity();
+  EXPECT_THROW(refiner.refine(coarse, broken, {}), Error);
+  const std::vector<ObstacleFrame> bad{test::sphere("ball", {0, 0, 0}, 0)};
+  EXPECT_THROW(refiner.refine(coarse, fine, bad), Error);
+  EXPECT_TRUE(refiner.refine(coarse, fine, {}).report.clean());
+}
+
+}  // namespace
+}  // namespace pleat
