@@ -50,7 +50,8 @@ void Progress::show(const std::string& note, bool last) {
   const double rate = seconds > 0 ? static_cast<double>(done_) / seconds : 0;
   std::string counts = std::to_string(done_);
   if (total_ > 0) counts += "/" + std::to_string(total_);
-  const std::string tail = note.empty() ? "" : "  " + note;
+  std::string tail;
+  if (!note.empty()) tail.append("  ").append(note);
   if (!terminal_) {
     std::fprintf(stderr, "%s %s  %.1f/s%s\n", label_.c_str(), counts.c_str(), rate, tail.c_str());
     return;

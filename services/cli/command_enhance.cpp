@@ -1,0 +1,137 @@
+// `pleat enhance`: coarse frames of another simulator through a live session.
+#include <chrono>
+#include <cstdio>
+
+#include "common/mesh/obj.hpp"
+#include "services/cli/command.hpp"
+#include "services/cli/enhance_session.hpp"
+#include "services/cli/launcher.hpp"
+#include "services/cli/obstacle_input.hpp"
+#include "services/cli/output.hpp"
+#include "services/cli/progress.hpp"
+#include "services/cli/result_recorder.hpp"
+
+namespace pleat::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+constexpr double kDefaultFramesPerSecond = 25;
+
+struct EnhanceOptions {
+  std::string rest, frames, out, model, coordinator;
+  std::vector<std::string> obstacles;
+  double fps = 0, timeout_s = 30;
+  std::uint32_t window = 0, rounds = 2;
+  std::uint64_t count = 0;
+  rpc::TlsOptions tls;
+};
+
+int enhance(const EnhanceOptions& options) {
+  const Topology rest = read_obj(options.rest);
+  validate_material_coordinates(rest, options.rest);
+  const auto sequence = open_frame_sequence(options.frames, rest);
+  const ObstacleInput obstacles(options.obstacles);
+  const bool own_obstacles = !options.obstacles.empty();
+  std::uint64_t count = sequence->frame_count();
+  if (options.count > 0) count = std::min(count, options.count);
+  if (count == 0) throw_invalid_argument(options.frames + ": no frame");
+  double frame_time = sequence->frame_time_s() > 0 ? sequence->frame_time_s() : 1 / kDefaultFramesPerSecond;
+  if (options.fps > 0) frame_time = 1 / options.fps;
+  const fs::path out = options.out;
+  std::optional<Launcher> launcher;
+  ModelChoice model{options.model, {}};
+  if (options.coordinator.empty()) model = choose_model(options.model);
+  make_output_folder(out);
+  std::string address = options.coordinator;
+  if (address.empty()) {
+    LauncherOptions launch;
+    launch.models = model.folder;
+    launch.data = out / "services";
+    launch.logs = out / "logs";
+    launcher.emplace(launch);
+    address = launcher->coordinator();
+  }
+  const auto channel = rpc::create_channel(address, options.tls);
+  rpc::wait_healthy(channel, "pleat.v1.Coordinator", address,
+                    std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
+
+  EnhanceSessionOptions open;
+  open.coarse = rest;
+  open.model = model.name;
+  open.frame_time_s = frame_time;
+  open.obstacles = own_obstacles ? obstacles.shapes() : sequence->obstacle_shapes();
+  open.window = options.window;
+  open.subdivision_rounds = options.rounds;
+  EnhanceSession session(channel, address, open);
+  ResultRecorder recorder(
+      {out / "result.h5", session.topology(), count, frame_time, session.model(), "", open.obstacles});
+  Progress progress("frames", count);
+  const Clock::time_point start = Clock::now();
+  try {
+    session.run(
+        count,
+        [&](std::uint64_t k) {
+          return CoarseInput{sequence->positions(k), own_obstacles ? obstacles.at(k) : sequence->obstacles(k)};
+        },
+        [&](const v1::EnhancedFrame& frame, const CoarseInput& input) {
+          recorder.add(frame, input.positions, input.obstacles);
+          progress.update(recorder.frames());
+        });
+  } catch (const Error& error) {
+    if (recorder.frames() == 0) throw;
+    recorder.finish();
+    throw Error(error.code(), std::string(error.what()) + "; " + std::to_string(recorder.frames()) + " frames are in " +
+                                  (out / "result.h5").string());
+  }
+  const double wall_s = std::chrono::duration<double>(Clock::now() - start).count();
+  progress.finish();
+  recorder.finish();
+  if (launcher) {
+    launcher->stop();
+    std::error_code ignored;
+    fs::remove_all(out / "services", ignored);
+  }
+  ReportSummary summary;
+  summary.title = fs::path(options.rest).stem().string();
+  summary.model = session.model();
+  summary.device = session.device();
+  summary.precision = session.precision();
+  summary.wall_s = wall_s;
+  write_reports(out, std::move(summary));
+  return kExitDone;
+}
+
+}  // namespace
+
+std::vector<Command> add_enhance(CLI::App& root) {
+  CLI::App* app = root.add_subcommand("enhance", "enhance coarse frames made elsewhere; leaves result.h5 and a report");
+  const auto options = std::make_shared<EnhanceOptions>();
+  app->add_option("--rest", options->rest, "the coarse garment at rest, OBJ with material coordinates (vt) in metres")
+      ->required();
+  app->add_option("--frames", options->frames,
+                  "coarse frames: folder, 'glob*.obj', cloth_%04d.obj, FILE.pc2, result.h5, DATASET/sequences/NAME.h5")
+      ->required();
+  app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
+  app->add_option("--model", options->model,
+                  "model bundle: a file, or a name in deploy/models (default: the service's)");
+  app->add_option("--obstacle", options->obstacles,
+                  "sphere:X,Y,Z,RADIUS, MESH.obj, or MESH.obj@FRAMES if it moves; may be repeated");
+  app->add_option("--fps", options->fps, "frames a second of motion (default: the file's, or 25)")
+      ->check(CLI::PositiveNumber);
+  app->add_option("--count", options->count, "enhance the first COUNT frames only")->check(CLI::PositiveNumber);
+  app->add_option("--rounds", options->rounds, "rounds of subdivision from the coarse to the fine mesh")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 5));
+  app->add_option("--window", options->window, "frames in flight, 1 to 64 (default: 4)")->check(CLI::Range(1, 64));
+  app->add_option("--coordinator", options->coordinator,
+                  "address of a running coordinator (default: start all services for this run)");
+  app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+  add_tls_options(*app, options->tls);
+  return {{app, [options] { return enhance(*options); }}};
+}
+
+}  // namespace pleat::cli

@@ -1,0 +1,256 @@
+// `pleat run`: simulate a scene and enhance it, with services of our own or a coordinator that is there.
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <numeric>
+#include <random>
+#include <thread>
+
+#include "common/frame/messages.hpp"
+#include "common/rpc/status.hpp"
+#include "services/cli/command.hpp"
+#include "services/cli/job_watcher.hpp"
+#include "services/cli/launcher.hpp"
+#include "services/cli/output.hpp"
+#include "services/cli/progress.hpp"
+#include "services/cli/result_recorder.hpp"
+#include "services/cli/scene_file.hpp"
+#include "services/cli/signals.hpp"
+
+namespace pleat::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+constexpr std::chrono::seconds kCallTimeout{10};
+constexpr std::chrono::seconds kCancelPatience{20};
+constexpr double kDefaultFrameTime = 0.04;
+
+struct RunOptions {
+  std::string scene, out, model, coordinator;
+  std::uint32_t frames = 0;
+  bool reference = false;
+  double timeout_s = 30;
+  rpc::TlsOptions tls;
+};
+
+std::string random_job_id(const std::string& scene) {
+  std::random_device random;
+  char digits[17];
+  std::snprintf(digits, sizeof digits, "%08x%08x", random(), random());
+  return scene.substr(0, 40) + "-" + digits;
+}
+
+/// The job's frames as they come from a coordinator elsewhere, into DIR/result.h5.
+class RemoteFrames {
+ public:
+  RemoteFrames(RecordingOptions options) : options_(std::move(options)) {}
+
+  JobSinks sinks() {
+    JobSinks sinks;
+    sinks.opened = [this](const v1::JobOpened& opened) { open(opened); };
+    sinks.frame = [this](const v1::EnhancedFrame& frame) { add(frame); };
+    sinks.frame_error = [](const v1::FrameError& error) {
+      throw Error(ErrorCode::kInternal, "frame " + std::to_string(error.index()) + ": " + error.message());
+    };
+    return sinks;
+  }
+  void finish() {
+    if (recorder_) recorder_->finish();
+  }
+
+ private:
+  void open(const v1::JobOpened& opened) {
+    if (recorder_) return;
+    options_.topology.coarse = from_message(opened.coarse());
+    options_.topology.fine = from_message(opened.fine());
+    options_.topology.feature_vertices.resize(static_cast<std::size_t>(options_.topology.coarse.vertex_count()));
+    std::iota(options_.topology.feature_vertices.begin(), options_.topology.feature_vertices.end(), 0u);
+    for (const v1::ObstacleShape& shape : opened.obstacles()) options_.obstacles.push_back(from_message(shape));
+    recorder_.emplace(options_);
+  }
+  void add(const v1::EnhancedFrame& frame) {
+    if (!recorder_) throw_internal("the coordinator sent a frame before the meshes");
+    std::vector<ObstacleFrame> obstacles;
+    for (const v1::ObstacleFrame& obstacle : frame.obstacles()) obstacles.push_back(from_message(obstacle));
+    recorder_->add(frame, positions_from_message(frame.coarse()), obstacles);
+  }
+
+  RecordingOptions options_;
+  std::optional<ResultRecorder> recorder_;
+};
+
+class Run {
+ public:
+  explicit Run(const RunOptions& options) : options_(options), out_(options.out) {}
+
+  int operator()() {
+    v1::Scene scene = read_scene_file(options_.scene);
+    const bool local = options_.coordinator.empty();
+    ModelChoice model{options_.model, {}};
+    if (local) model = choose_model(options_.model);
+    make_output_folder(out_);
+
+    if (local) {
+      LauncherOptions launch;
+      launch.models = model.folder;
+      launch.data = out_ / "services";
+      launch.logs = out_ / "logs";
+      launcher_.emplace(launch);
+      address_ = launcher_->coordinator();
+      channel_ = rpc::create_channel(address_);
+    } else {
+      address_ = options_.coordinator;
+      channel_ = rpc::create_channel(address_, options_.tls);
+      rpc::wait_healthy(channel_, "pleat.v1.Coordinator", address_,
+                        std::chrono::milliseconds(static_cast<long>(options_.timeout_s * 1000)));
+    }
+    stub_ = v1::Coordinator::NewStub(channel_);
+
+    v1::CreateJobRequest request;
+    request.set_model(model.name);
+    request.set_frames(options_.frames);
+    request.set_reference(options_.reference);
+    request.set_job_id(random_job_id(scene.name()));
+    const std::uint32_t frames = options_.frames > 0 ? options_.frames : scene.frames();
+    const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
+    RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, scene_json(scene), {}});
+    *request.mutable_scene() = std::move(scene);
+
+    v1::Job job;
+    {
+      grpc::ClientContext context;
+      context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
+      rpc::throw_if_failed(stub_->CreateJob(&context, request, &job), peer());
+    }
+    job = follow(job, local ? JobSinks{} : remote.sinks());
+    const fs::path kept = local ? take_result(job) : finish_remote(remote, job);
+    if (launcher_) launcher_->stop();
+    return end(job, kept);
+  }
+
+ private:
+  std::string peer() const { return "coordinator at " + address_; }
+
+  /// Shows the job's progress until it has ended; Ctrl-C cancels it.
+  v1::Job follow(v1::Job job, JobSinks sinks) {
+    JobWatcher watcher(channel_, address_, job.id(), std::move(sinks));
+    std::optional<Progress> progress;
+    v1::Job::State shown = v1::Job::STATE_UNSPECIFIED;
+    std::optional<Clock::time_point> cancelled;
+    while (true) {
+      const auto [latest, over] = watcher.wait(std::chrono::milliseconds(50));
+      if (!latest.id().empty()) job = latest;
+      const bool reference = job.state() == v1::Job::STATE_REFERENCE;
+      if (job.state() != shown && (reference || job.state() == v1::Job::STATE_RUNNING)) {
+        if (progress) progress->finish();
+        progress.emplace(reference ? "reference" : "frames", job.frames());
+        shown = job.state();
+      }
+      if (progress && !over) progress->update(reference ? job.reference_frames_complete() : job.frames_complete());
+      if (over) {
+        if (progress) {
+          const bool of_reference = shown == v1::Job::STATE_REFERENCE;
+          progress->update(of_reference ? job.reference_frames_complete() : job.frames_complete());
+          progress->finish(job.state() == v1::Job::STATE_DONE ? "" : state_name(job.state()));
+        }
+        return job;
+      }
+      if (launcher_) {
+        for (const std::string& line : launcher_->supervise()) std::fprintf(stderr, "%s\n", line.c_str());
+      }
+      if (interrupted() && !cancelled) {
+        cancelled = Clock::now();
+        cancel(job.id());
+      }
+      if (cancelled && Clock::now() - *cancelled > kCancelPatience)
+        throw Error(ErrorCode::kDeadlineExceeded, "interrupted, and the job did not end");
+    }
+  }
+
+  void cancel(const std::string& id) {
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
+    v1::CancelJobRequest request;
+    request.set_id(id);
+    v1::Job ignored;
+    rpc::throw_if_failed(stub_->CancelJob(&context, request, &ignored), peer());
+  }
+
+  /// The job's file comes to us; what else the coordinator kept goes. Returns what was kept, if anything.
+  fs::path take_result(const v1::Job& job) {
+    fs::path kept;
+    std::error_code failed;
+    const fs::path source = job.result_path();
+    for (const char* ending : {"", ".partial"}) {
+      const fs::path from = source.string() + ending;
+      const fs::path to = (out_ / "result.h5").string() + ending;
+      if (source.empty() || !fs::is_regular_file(from, failed)) continue;
+      fs::rename(from, to, failed);
+      if (failed) throw Error(ErrorCode::kResourceExhausted, to.string() + ": " + failed.message());
+      kept = to;
+      break;
+    }
+    launcher_->stop();
+    fs::remove_all(out_ / "services", failed);
+    return kept;
+  }
+
+  fs::path finish_remote(RemoteFrames& remote, const v1::Job& job) {
+    if (job.frames_complete() == 0) return {};
+    remote.finish();
+    return out_ / "result.h5";
+  }
+
+  int end(const v1::Job& job, const fs::path& kept) {
+    const std::string state =
+        kept.empty() ? "nothing was kept" : std::to_string(job.frames_complete()) + " frames are in " + kept.string();
+    if (job.state() == v1::Job::STATE_CANCELLED)
+      throw Error(ErrorCode::kCancelled, "job " + job.id() + " was cancelled; " + state);
+    if (job.state() != v1::Job::STATE_DONE)
+      throw Error(ErrorCode::kInternal, "job " + job.id() + " failed: " + job.error() + "; " + state);
+    if (kept.empty()) throw_internal("job " + job.id() + " is done but left no result");
+    ReportSummary summary;
+    summary.title = job.scene_name();
+    summary.model = job.summary().model();
+    summary.device = job.summary().device();
+    summary.precision = job.summary().precision();
+    summary.wall_s = job.summary().wall_s();
+    summary.extra["frame_errors"] = job.summary().frame_errors();
+    write_reports(out_, std::move(summary));
+    return kExitDone;
+  }
+
+  RunOptions options_;
+  fs::path out_;
+  std::string address_;
+  std::optional<Launcher> launcher_;
+  std::shared_ptr<grpc::Channel> channel_;
+  std::unique_ptr<v1::Coordinator::Stub> stub_;
+};
+
+}  // namespace
+
+std::vector<Command> add_run(CLI::App& root) {
+  CLI::App* app = root.add_subcommand("run", "simulate a scene and enhance it; leaves result.h5 and a report");
+  const auto options = std::make_shared<RunOptions>();
+  app->add_option("scene", options->scene, "scene file, for example deploy/scenes/draping.json")->required();
+  app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
+  app->add_option("--frames", options->frames, "frames to make (default: the scene's)")->check(CLI::PositiveNumber);
+  app->add_option("--model", options->model,
+                  "model bundle: a file, or a name in deploy/models (default: the service's)");
+  app->add_option("--coordinator", options->coordinator,
+                  "address of a running coordinator (default: start all services for this run)");
+  app->add_flag("--reference,!--no-reference", options->reference,
+                "also simulate the tracked fine cloth, for comparison; the time of the run excludes it");
+  app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+  add_tls_options(*app, options->tls);
+  return {{app, [options] { return Run(*options)(); }}};
+}
+
+}  // namespace pleat::cli

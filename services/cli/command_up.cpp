@@ -1,0 +1,76 @@
+// `pleat up`: all services on this host. `pleat health`: one service, for container health checks.
+#include <chrono>
+#include <cstdio>
+#include <thread>
+
+#include "services/cli/command.hpp"
+#include "services/cli/launcher.hpp"
+#include "services/cli/signals.hpp"
+
+namespace pleat::cli {
+namespace {
+
+struct UpOptions {
+  std::string listen, models, metrics_listen;
+  std::string data = "out/services";
+};
+
+int up(const UpOptions& options) {
+  if (!options.listen.empty() && !rpc::is_local_address(options.listen))
+    throw_invalid_argument("--listen " + options.listen +
+                           ": not a local address; beyond this host run pleat-coordinator itself, with --tls-*");
+  LauncherOptions launch;
+  launch.models = options.models;
+  launch.data = options.data;
+  launch.logs = launch.data / "logs";
+  launch.listen = options.listen;
+  launch.metrics_listen = options.metrics_listen;
+  Launcher launcher(launch);
+  for (const Launcher::Service& service : launcher.services())
+    std::printf("%-12s %s\n", service.name.c_str(), service.address.c_str());
+  std::printf("ready %s\n", launcher.coordinator().c_str());
+  std::fflush(stdout);
+  while (!interrupted()) {
+    for (const std::string& line : launcher.supervise()) std::fprintf(stderr, "%s\n", line.c_str());
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  }
+  launcher.stop();
+  return kExitDone;
+}
+
+}  // namespace
+
+std::vector<Command> add_up(CLI::App& root) {
+  CLI::App* app = root.add_subcommand("up", "start all services on this host, until Ctrl-C");
+  const auto options = std::make_shared<UpOptions>();
+  app->add_option(
+      "--listen", options->listen,
+      "address of the coordinator: unix:PATH or 127.0.0.1:PORT, port 0 for any (default: a private socket)");
+  app->add_option("--models", options->models, "folder of the model bundles (default: deploy/models)");
+  app->add_option("--data", options->data, "folder for jobs and logs")->capture_default_str();
+  app->add_option("--metrics-listen", options->metrics_listen, "Prometheus endpoint of the coordinator, HOST:PORT");
+  return {{app, [options] { return up(*options); }}};
+}
+
+std::vector<Command> add_health(CLI::App& root) {
+  struct HealthOptions {
+    std::string address, service;
+    double timeout_s = 2;
+    rpc::TlsOptions tls;
+  };
+  CLI::App* app = root.add_subcommand("health", "ask a service whether it serves; exit code 0 if so");
+  const auto options = std::make_shared<HealthOptions>();
+  app->add_option("address", options->address, "unix:PATH, HOST:PORT or dns:///NAME:PORT")->required();
+  app->add_option("service", options->service, "full name, for example pleat.v1.Coordinator")->required();
+  app->add_option("--timeout", options->timeout_s, "seconds")->capture_default_str()->check(CLI::PositiveNumber);
+  add_tls_options(*app, options->tls);
+  return {{app, [options] {
+             const auto timeout = std::chrono::milliseconds(static_cast<long>(options->timeout_s * 1000));
+             const auto channel = rpc::create_channel(options->address, options->tls);
+             rpc::wait_healthy(channel, options->service, options->address, timeout);
+             std::printf("%s at %s serves\n", options->service.c_str(), options->address.c_str());
+             return kExitDone;
+           }}};
+}
+
+}  // namespace pleat::cli

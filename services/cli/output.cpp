@@ -1,0 +1,73 @@
+#include "services/cli/output.hpp"
+
+#include <unistd.h>
+
+#include <cstdio>
+
+#include "common/base/error.hpp"
+#include "services/cli/launcher.hpp"
+#include "services/cli/machine.hpp"
+
+namespace pleat::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+bool has_bundle(const fs::path& folder) {
+  std::error_code ignored;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder, ignored))
+    if (entry.path().extension() == ".pt") return true;
+  return false;
+}
+
+}  // namespace
+
+void make_output_folder(const fs::path& folder) {
+  std::error_code failed;
+  fs::create_directories(folder, failed);
+  if (failed) throw_invalid_argument(folder.string() + ": can't be made: " + failed.message());
+  if (!fs::is_directory(folder)) throw_invalid_argument(folder.string() + ": not a folder");
+  if (::access(folder.c_str(), W_OK) != 0) throw_invalid_argument(folder.string() + ": can't be written");
+}
+
+void write_reports(const fs::path& folder, ReportSummary summary) {
+  summary.git_revision = git_revision();
+  summary.extra["machine"] = machine_info();
+  const ReportInput input = read_report_input(folder / "result.h5", std::move(summary));
+  write_report_json(input, folder / "report.json");
+  write_report_html(input, folder / "report.html");
+  const nlohmann::json report = make_report_json(input);
+  std::printf("%zu frames, %lld -> %lld vertices, %.2f s, %.2f frames a second\n", input.frame_count,
+              static_cast<long long>(input.coarse_topology.vertex_count()),
+              static_cast<long long>(input.fine_topology.vertex_count()), report.value("wall_s", 0.0),
+              report.value("frames_per_s", 0.0));
+  for (const auto& [name, stage] : report.at("stages").items())
+    std::printf("  %-14s median %8.2f ms   p95 %8.2f ms\n", name.c_str(), stage.value("median_ms", 0.0),
+                stage.value("p95_ms", 0.0));
+  std::printf("penetrations %llu, self-intersections %llu\n",
+              static_cast<unsigned long long>(report.value("penetrations", 0ull)),
+              static_cast<unsigned long long>(report.value("self_intersections", 0ull)));
+  for (const char* name : {"result.h5", "report.json", "report.html"}) std::printf("%s\n", (folder / name).c_str());
+  std::fflush(stdout);
+}
+
+ModelChoice choose_model(const std::string& text) {
+  ModelChoice choice;
+  std::error_code ignored;
+  if (text.empty()) {
+    const fs::path folder = default_models_folder();
+    if (!has_bundle(folder)) throw_not_found(folder.string() + ": no model bundle (.pt) there; name one with --model");
+    return choice;
+  }
+  fs::path file = text;
+  if (file.extension() != ".pt") file += ".pt";
+  if (file.has_parent_path())
+    choice.folder = file.parent_path();
+  else
+    file = default_models_folder() / file;
+  if (!fs::is_regular_file(file, ignored)) throw_not_found(file.string() + ": no such model bundle");
+  choice.name = file.stem().string();
+  return choice;
+}
+
+}  // namespace pleat::cli

@@ -1,0 +1,25 @@
+// What `run` and `enhance` leave in their folder, and what they print at the end.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "services/cli/report/report.hpp"
+
+namespace pleat::cli {
+
+/// Makes the folder. Throws kInvalidArgument if it can't be made or written; it is named.
+void make_output_folder(const std::filesystem::path& folder);
+
+/// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout.
+void write_reports(const std::filesystem::path& folder, ReportSummary summary);
+
+/// "draping" and, if the text is a path, its folder: "deploy/models/draping.pt" -> {draping, deploy/models}.
+struct ModelChoice {
+  std::string name;
+  std::filesystem::path folder;  ///< empty: the default folder
+};
+/// Throws kNotFound if the bundle (or, with an empty text, any bundle) is not there; the file is named.
+ModelChoice choose_model(const std::string& text);
+
+}  // namespace pleat::cli

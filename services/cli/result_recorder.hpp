@@ -1,0 +1,48 @@
+// Enhanced frames from a coordinator, into result.h5.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/frame/frame.hpp"
+#include "common/store/result.hpp"
+#include "pleat/v1/coordinator.pb.h"
+
+namespace pleat::cli {
+
+/// What a recording needs before its first frame.
+struct RecordingOptions {
+  std::filesystem::path path;  ///< result.h5
+  MeshPair topology;
+  std::uint64_t frames = 0;  ///< planned
+  double frame_time_s = 0;
+  std::string model;
+  std::string scene;  ///< JSON, may be empty
+  std::vector<ObstacleShape> obstacles;
+};
+
+/// Frames must come in order from 0, as streams deliver them. Not thread-safe.
+class ResultRecorder {
+ public:
+  explicit ResultRecorder(RecordingOptions options) : options_(std::move(options)) {}
+
+  /// The stages of the first frame become those of the file. Throws kInternal (order), kResourceExhausted (disk).
+  void add(const v1::EnhancedFrame& frame, const Positions& coarse, const std::vector<ObstacleFrame>& obstacles);
+  /// Ends with what there is: result.h5.partial becomes result.h5. Throws kFailedPrecondition without a frame.
+  void finish();
+
+  std::uint64_t frames() const { return frames_; }
+  std::uint64_t penetrations() const { return penetrations_; }
+  std::uint64_t self_intersections() const { return self_intersections_; }
+
+ private:
+  RecordingOptions options_;
+  std::optional<ResultWriter> writer_;
+  std::vector<std::string> stages_;
+  std::uint64_t frames_ = 0, penetrations_ = 0, self_intersections_ = 0;
+};
+
+}  // namespace pleat::cli

@@ -1,0 +1,17 @@
+# Writes OUTPUT with the git revision of SOURCE, and touches it only when the revision has changed.
+set(revision "${REVISION}")
+if(revision STREQUAL "")
+  find_program(GIT git)
+  if(GIT)
+    execute_process(COMMAND ${GIT} -C ${SOURCE} rev-parse --short=12 HEAD OUTPUT_VARIABLE revision
+      OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET)
+    execute_process(COMMAND ${GIT} -C ${SOURCE} diff --quiet HEAD RESULT_VARIABLE changed ERROR_QUIET)
+    if(revision AND changed)
+      string(APPEND revision "+")
+    endif()
+  endif()
+endif()
+if(revision STREQUAL "")
+  set(revision "unknown")
+endif()
+file(CONFIGURE OUTPUT ${OUTPUT} CONTENT "#pragma once\n#define PLEAT_GIT_REVISION \"${revision}\"\n" @ONLY)
