@@ -4,6 +4,7 @@
 #include <cmath>
 #include <memory>
 #include <numeric>
+#include <string_view>
 
 #include "common/base/error.hpp"
 #include "common/store/result.hpp"
@@ -65,6 +66,13 @@ nlohmann::json make_fidelity(const ReportInput& input) {
   return out;
 }
 
+/// HDF5 lists stages by name; people read them in the order of the pipeline. Unknown ones come last.
+std::size_t place_in_pipeline(const std::string& stage) {
+  static constexpr std::string_view kPipeline[] = {"simulation", "to_image",   "superres",
+                                                   "to_mesh",    "refinement", "store"};
+  return static_cast<std::size_t>(std::find(std::begin(kPipeline), std::end(kPipeline), stage) - std::begin(kPipeline));
+}
+
 template <class T>
 std::vector<T> all_frames(std::vector<T> values, std::uint64_t frames, const std::string& name) {
   if (values.size() != frames)
@@ -92,6 +100,9 @@ ReportInput read_report_input(const std::filesystem::path& result, ReportSummary
     const std::vector<float> ms = all_frames(reader->stage_ms(stage, 0, info.frames), info.frames, stage);
     input.stages.push_back({stage, {ms.begin(), ms.end()}});
   }
+  std::stable_sort(input.stages.begin(), input.stages.end(), [](const ReportStage& a, const ReportStage& b) {
+    return place_in_pipeline(a.name) < place_in_pipeline(b.name);
+  });
   for (const std::string& count : info.counts) {
     input.counts.push_back({count, all_frames(reader->counts(count, 0, info.frames), info.frames, count)});
   }
