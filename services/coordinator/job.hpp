@@ -1,0 +1,52 @@
+// A job as a value: its states, and its record on disk.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+namespace pleat::coordinator {
+
+enum class JobState { kQueued, kRunning, kReference, kDone, kFailed, kCancelled };
+
+/// "queued", "running", "reference", "done", "failed", "cancelled".
+std::string_view to_string(JobState state);
+
+/// Done, failed or cancelled: nothing changes any more.
+bool has_ended(JobState state);
+
+/// queued -> running -> [reference ->] done; failed and cancelled from every state that has not ended. A job that a
+/// stopped coordinator left running or in reference may be queued again.
+bool may_become(JobState from, JobState to);
+
+struct JobRecord {
+  std::string id;
+  std::string scene_name;
+  JobState state = JobState::kQueued;
+  std::uint64_t order = 0;  ///< of creation, over the life of the data folder
+  std::uint32_t frames = 0;
+  std::uint32_t frames_complete = 0;
+  bool reference = false;  ///< a tracked fine simulation was asked for
+  std::uint32_t reference_frames_complete = 0;
+  std::string error;  ///< one line, where failed
+  std::string model;
+  std::string device;
+  std::string precision;
+  std::uint32_t coarse_vertices = 0;
+  std::uint32_t fine_vertices = 0;
+  double wall_s = 0;  ///< of the pipeline, over all runs of the coordinator, without the reference
+  std::uint32_t penetrations = 0;
+  std::uint32_t self_intersections = 0;
+  std::uint32_t frame_errors = 0;
+
+  bool operator==(const JobRecord&) const = default;
+};
+
+/// 1 to 64 of letters, digits, '-', '_': safe as a folder's name.
+bool is_valid_job_id(std::string_view id);
+
+std::string to_json(const JobRecord& record);
+/// Throws kDataLoss naming `origin` if the text is not a record of this version.
+JobRecord job_from_json(const std::string& text, const std::string& origin);
+
+}  // namespace pleat::coordinator

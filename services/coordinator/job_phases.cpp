@@ -1,0 +1,280 @@
+// The two phases of a job: enhance (simulation, pipeline, result file) and the reference simulation.
+#include <google/protobuf/util/json_util.h>
+
+#include <cstring>
+#include <map>
+#include <utility>
+
+#include "common/frame/messages.hpp"
+#include "common/telemetry/stage_timer.hpp"
+#include "services/coordinator/job_runner.hpp"
+#include "services/coordinator/recorder.hpp"
+#include "services/coordinator/result_events.hpp"
+#include "services/coordinator/simulation_source.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kDefaultFrameTime = 0.04;
+constexpr std::uint32_t kDefaultSubdivisionRounds = 2;
+
+/// The scene as result.h5 keeps it: without the meshes, which the file holds as arrays.
+std::string scene_json(v1::Scene scene) {
+  scene.clear_garment();
+  for (v1::Obstacle& obstacle : *scene.mutable_obstacles()) {
+    if (obstacle.has_mesh()) obstacle.clear_shape();
+  }
+  google::protobuf::util::JsonPrintOptions options;
+  options.preserve_proto_field_names = true;
+  std::string json;
+  const auto status = google::protobuf::util::MessageToJsonString(scene, &json, options);
+  if (!status.ok()) throw_internal("scene: " + status.ToString());
+  return json;
+}
+
+std::uint64_t frames_on_disk(const fs::path& file) {
+  if (!fs::exists(file)) return 0;
+  try {
+    return ResultReader(file).frames_complete();
+  } catch (const Error&) {
+    return 0;  // the writer judges the file, and replaces one that it can't continue
+  }
+}
+
+std::vector<Eigen::Index> obstacle_vertices(const v1::Scene& scene,
+                                            const google::protobuf::RepeatedPtrField<v1::ObstacleShape>& shapes) {
+  std::vector<Eigen::Index> counts;
+  for (const auto& shape : shapes) {
+    Eigen::Index count = 0;
+    for (const auto& obstacle : scene.obstacles()) {
+      if (obstacle.name() == shape.name() && obstacle.has_mesh()) count = obstacle.mesh().rest_positions_size() / 3;
+    }
+    counts.push_back(count);
+  }
+  return counts;
+}
+
+/// A simulation that starts at the check-point in `file` if that lies before frame `wanted`, else at the beginning.
+struct StartedSimulation {
+  std::unique_ptr<SimulationSource> source;
+  v1::SimulateOpened opened;
+};
+
+StartedSimulation start_simulation(ActiveJob& job, SimulationSource::Options options, const fs::path& file,
+                                   std::uint64_t wanted) {
+  const auto checkpoint = load_checkpoint(file);
+  const auto start = [&] {
+    StartedSimulation started;
+    started.source = std::make_unique<SimulationSource>(options);
+    const ActiveJob::Interrupt interrupt(job, [&](const Error&) { started.source->cancel(); });
+    started.opened = started.source->open();
+    return started;
+  };
+  if (checkpoint && checkpoint->index < wanted) {
+    options.checkpoint = checkpoint->state;
+    try {
+      auto started = start();
+      if (started.opened.next_index() <= wanted) return started;
+    } catch (const Error& e) {
+      // A check-point of another build of the service costs time, not the job.
+      if (may_pass(e.code()) || e.code() == ErrorCode::kCancelled) throw;
+    }
+    options.checkpoint.clear();
+  }
+  return start();
+}
+
+/// Check-points wait here until the frames up to them are on disk.
+class PendingCheckpoints {
+ public:
+  explicit PendingCheckpoints(fs::path file) : file_(std::move(file)) {}
+
+  void add(std::uint64_t index, std::string state) {
+    const std::lock_guard lock(mutex_);
+    pending_[index] = std::move(state);
+  }
+  void frames_are_stored(std::uint64_t frames) {
+    std::optional<Checkpoint> newest;
+    {
+      const std::lock_guard lock(mutex_);
+      while (!pending_.empty() && pending_.begin()->first < frames) {
+        newest = Checkpoint{pending_.begin()->first, std::move(pending_.begin()->second)};
+        pending_.erase(pending_.begin());
+      }
+    }
+    if (newest) save_checkpoint(file_, *newest);
+  }
+
+ private:
+  const fs::path file_;
+  std::mutex mutex_;
+  std::map<std::uint64_t, std::string> pending_;
+};
+
+}  // namespace
+
+void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
+  const v1::Scene& scene = request.scene();
+  const fs::path folder = table_.folder(job.id);
+  const fs::path result = folder / "result.h5";
+  const fs::path partial = folder / "result.h5.partial";
+  const double earlier_s = table_.get(job.id).wall_s;
+  const telemetry::StageTimer wall;
+
+  PipelineSession session;
+  session.model = describe_model(addresses_, link_, request.model(), [&] { return job.cause().has_value(); });
+  session.window = settings_.window;
+  session.subdivision_rounds = scene.has_subdivision_rounds() ? scene.subdivision_rounds() : kDefaultSubdivisionRounds;
+
+  SimulationSource::Options simulation{.addresses = addresses_.simulation,
+                                       .scene = scene,
+                                       .window = settings_.window,
+                                       .checkpoint_interval = settings_.checkpoint_interval,
+                                       .checkpoint = {},
+                                       .link = link_};
+  auto started = start_simulation(job, simulation, folder / "checkpoint.bin", frames_on_disk(partial));
+  session.coarse = started.opened.coarse();
+  session.obstacles = started.opened.obstacles();
+  const Topology coarse = from_message(session.coarse, "the simulation's coarse mesh");
+  session.coarse.set_hash(topology_hash(coarse));
+  const Subdivision subdivision = subdivide(coarse, static_cast<int>(session.subdivision_rounds));
+  const auto fine_vertices = static_cast<std::size_t>(subdivision.fine.vertex_count());
+
+  ResultOptions options;
+  options.topology = {coarse, subdivision.fine, subdivision.feature_vertices};
+  options.frames = scene.frames();
+  options.frame_time_s = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
+  options.model = session.model.model();
+  options.scene = scene_json(scene);
+  for (const auto& shape : session.obstacles) options.obstacles.push_back(from_message(shape));
+  options.obstacle_vertices = obstacle_vertices(scene, session.obstacles);
+  options.stages = kJobStages;
+  options.counts = kJobCounts;
+  options.deflate = settings_.compress && !request.reference();
+
+  PendingCheckpoints checkpoints(folder / "checkpoint.bin");
+  const auto stored = [&](const Recorder::FramePtr& frame, std::uint64_t complete) {
+    checkpoints.frames_are_stored(complete);
+    // The frame belongs to nobody else any more: its arrays go to the watchers without a copy.
+    job.feed.publish(frame->index, make_event(*frame));
+    const auto& report = frame->report;
+    table_.update(job.id, [&](JobRecord& record) {
+      record.frames_complete = static_cast<std::uint32_t>(complete);
+      record.penetrations += report.penetrations_after();
+      record.self_intersections += report.self_intersections_after();
+      record.frame_errors += frame->error ? 1 : 0;
+      record.wall_s = earlier_s + wall.milliseconds() * 1e-3;
+    });
+  };
+  const Counts before = counts_of(partial);
+  Recorder recorder(result, options, subdivision, settings_.window,
+                    {.stored = stored, .failed = [&](const Error& cause) { job.abort(cause); }});
+  const std::uint64_t first = recorder.first_index();
+  if (started.opened.next_index() > first) {
+    // The file could not be continued, and the check-point lies beyond it.
+    started = start_simulation(job, simulation, {}, 0);
+  }
+  table_.update(job.id, [&](JobRecord& record) {
+    record.model = session.model.model();
+    record.device = session.model.device();
+    record.precision = session.model.precision();
+    record.coarse_vertices = static_cast<std::uint32_t>(coarse.vertex_count());
+    record.fine_vertices = static_cast<std::uint32_t>(fine_vertices);
+    record.frames_complete = static_cast<std::uint32_t>(first);
+    const Counts counts = first > 0 ? before : Counts{};
+    record.penetrations = counts.penetrations;
+    record.self_intersections = counts.self_intersections;
+    record.frame_errors = counts.frame_errors;
+  });
+  job.feed.set_opened(make_opened_event(options.topology, options.obstacles));
+
+  SimulationSource& source = *started.source;
+  session.first_sequence = first;
+  try {
+    EnhancementPipeline pipeline(
+        addresses_, link_, session, fine_vertices, topology_hash(subdivision.fine),
+        [&](std::unique_ptr<PipelineFrame> frame) { recorder.add(std::move(frame)); }, [&] { source.cancel(); });
+    const ActiveJob::Interrupt interrupt(job, [&](const Error& cause) { pipeline.fail(cause); });
+    try {
+      if (first < scene.frames()) {
+        source.run([&](v1::SimulatedFrame& simulated) {
+          const std::uint64_t index = simulated.coarse().index();
+          if (!simulated.checkpoint().empty()) checkpoints.add(index, std::move(*simulated.mutable_checkpoint()));
+          if (index < first) return true;
+          auto frame = std::make_unique<PipelineFrame>();
+          frame->sequence = frame->index = index;
+          frame->coarse.Swap(simulated.mutable_coarse());
+          frame->obstacles.Swap(simulated.mutable_obstacles());
+          frame->stage_times.Swap(simulated.mutable_stage_times());
+          return pipeline.push(std::move(frame));
+        });
+      }
+    } catch (const Error& e) {
+      pipeline.fail(e);  // keeps an earlier cause, for example that a stage was lost
+    }
+    pipeline.close();
+    pipeline.wait();
+    recorder.finish();
+  } catch (const Error&) {
+    if (!stopping()) recorder.salvage();
+    throw;
+  }
+}
+
+void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request) {
+  const fs::path folder = table_.folder(job.id);
+  const fs::path result = folder / "result.h5";
+  const fs::path path = folder / "reference.h5";
+  {
+    const ResultReader enhanced(result);
+    ResultOptions options = enhanced.info();
+    options.has_fine = true;
+    options.deflate = settings_.compress;
+    ResultWriter writer(path, options, true);
+
+    SimulationSource::Options simulation{.addresses = addresses_.simulation,
+                                         .scene = request.scene(),
+                                         .fine = v1::SimulateOpen::FINE_TRACKED,
+                                         .window = settings_.window,
+                                         .checkpoint_interval = settings_.checkpoint_interval,
+                                         .checkpoint = {},
+                                         .link = link_};
+    const fs::path checkpoint_file = folder / "reference_checkpoint.bin";
+    auto started = start_simulation(job, simulation, checkpoint_file, writer.frames_complete());
+    SimulationSource& source = *started.source;
+    const ActiveJob::Interrupt interrupt(job, [&](const Error&) { source.cancel(); });
+    const auto report = [&] {
+      table_.update(job.id, [&](JobRecord& record) {
+        record.reference_frames_complete = static_cast<std::uint32_t>(writer.frames_complete());
+      });
+    };
+    report();
+    source.run([&](v1::SimulatedFrame& simulated) {
+      const std::uint64_t index = simulated.coarse().index();
+      if (index >= writer.frames_complete()) {
+        ResultFrame frame = read_result_frame(enhanced, index);
+        const auto& positions = simulated.coarse().positions();
+        if (positions.size() != frame.coarse.size() ||
+            std::memcmp(positions.data(), frame.coarse.data(),
+                        sizeof(float) * static_cast<std::size_t>(positions.size())) != 0) {
+          throw_internal("the reference simulation's coarse mesh differs from the enhanced one's in frame " +
+                         std::to_string(index));
+        }
+        frame.fine =
+            Eigen::Map<const Positions>(simulated.fine().positions().data(), simulated.fine().positions_size() / 3, 3);
+        writer.append(frame);
+        report();
+      }
+      if (!simulated.checkpoint().empty() && index < writer.frames_complete()) {
+        save_checkpoint(checkpoint_file, {index, simulated.checkpoint()});
+      }
+      return true;
+    });
+    writer.finish();
+  }
+  fs::rename(path, result);
+}
+
+}  // namespace pleat::coordinator

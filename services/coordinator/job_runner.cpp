@@ -1,0 +1,204 @@
+#include "services/coordinator/job_runner.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+#include "common/frame/messages.hpp"
+#include "common/store/result.hpp"
+#include "services/coordinator/simulation_source.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr char kCheckpointMagic[8] = {'P', 'L', 'E', 'A', 'T', 'C', 'P', '1'};
+constexpr auto kCancelWait = std::chrono::seconds(5);
+
+}  // namespace
+
+std::optional<fs::path> result_file(const fs::path& job_folder) {
+  for (const char* name : {"result.h5", "result.h5.partial"}) {
+    if (fs::exists(job_folder / name)) return job_folder / name;
+  }
+  return std::nullopt;
+}
+
+void save_checkpoint(const fs::path& path, const Checkpoint& checkpoint) {
+  std::string content(kCheckpointMagic, sizeof kCheckpointMagic);
+  content.append(reinterpret_cast<const char*>(&checkpoint.index), sizeof checkpoint.index);
+  content += checkpoint.state;
+  replace_file(path, content);
+}
+
+std::optional<Checkpoint> load_checkpoint(const fs::path& path) {
+  const auto content = path.empty() ? std::nullopt : read_file(path);
+  Checkpoint checkpoint;
+  constexpr std::size_t kHeader = sizeof kCheckpointMagic + sizeof checkpoint.index;
+  if (!content || content->size() <= kHeader) return std::nullopt;
+  if (std::memcmp(content->data(), kCheckpointMagic, sizeof kCheckpointMagic) != 0) return std::nullopt;
+  std::memcpy(&checkpoint.index, content->data() + sizeof kCheckpointMagic, sizeof checkpoint.index);
+  checkpoint.state = content->substr(kHeader);
+  return checkpoint;
+}
+
+JobRunner::JobRunner(JobTable& table, ServiceAddresses addresses, LinkOptions link, JobSettings settings)
+    : table_(table), addresses_(std::move(addresses)), link_(std::move(link)), settings_(settings) {
+  for (const JobRecord& record : table_.unfinished()) {
+    if (record.state != JobState::kQueued) {
+      table_.update(record.id, [](JobRecord& unfinished) { unfinished.state = JobState::kQueued; });
+    }
+    queue_.push_back(record.id);
+  }
+  for (std::size_t i = 0; i < std::max<std::size_t>(1, settings_.concurrency); ++i) {
+    workers_.emplace_back([this] { work(); });
+  }
+}
+
+JobRunner::~JobRunner() {
+  stop();
+  for (std::thread& worker : workers_) worker.join();
+}
+
+JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
+  if (stopping()) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+  if (!request.has_scene()) throw_invalid_argument("scene: is missing");
+  v1::CreateJobRequest complete = request;
+  v1::Scene& scene = *complete.mutable_scene();
+  if (!scene.name().empty() && !is_valid_job_id(scene.name())) {
+    throw_invalid_argument("scene.name '" + scene.name() + "': at most 64 letters, digits, '-' or '_'");
+  }
+  if (request.frames() != 0) scene.set_frames(request.frames());
+  if (scene.frames() == 0) throw_invalid_argument("scene.frames: is 0");
+  if (scene.frames() > settings_.max_frames) {
+    throw Error(ErrorCode::kResourceExhausted, "scene.frames: " + std::to_string(scene.frames()) + ", the limit is " +
+                                                   std::to_string(settings_.max_frames));
+  }
+  JobRequest job{.id = request.job_id(),
+                 .scene_name = scene.name(),
+                 .frames = scene.frames(),
+                 .reference = request.reference(),
+                 .model = request.model(),
+                 .request = complete.SerializeAsString()};
+  // A request that is sent again asks the services for nothing.
+  const bool known = !job.id.empty() && table_.contains(job.id);
+  if (!known) {
+    const auto never = [] { return false; };
+    const v1::ModelDescription model = describe_model(addresses_, link_, request.model(), never);
+    SimulationSource source({.addresses = addresses_.simulation, .scene = scene, .checkpoint = {}, .link = link_});
+    const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
+    if (!model.topology_hash().empty() && model.topology_hash() != topology_hash(coarse)) {
+      throw Error(ErrorCode::kFailedPrecondition, "bundle " + model.model() + " was trained for another mesh (" +
+                                                      model.topology_hash() + ", the scene's is " +
+                                                      topology_hash(coarse) + ")");
+    }
+  }
+  const auto [record, made] = table_.create(job);
+  if (made) {
+    {
+      const std::lock_guard lock(mutex_);
+      queue_.push_back(record.id);
+    }
+    changed_.notify_all();
+  }
+  return record;
+}
+
+JobRecord JobRunner::cancel(const std::string& id) {
+  JobRecord record = table_.get(id);
+  if (has_ended(record.state)) return record;
+  std::shared_ptr<ActiveJob> job;
+  bool was_queued = false;
+  {
+    const std::lock_guard lock(mutex_);
+    was_queued = std::erase(queue_, id) > 0;
+    if (const auto found = active_.find(id); found != active_.end()) job = found->second;
+  }
+  if (was_queued) return table_.update(id, [](JobRecord& queued) { queued.state = JobState::kCancelled; });
+  if (job) job->abort(Error(ErrorCode::kCancelled, "cancelled"));
+  const auto deadline = std::chrono::steady_clock::now() + kCancelWait;
+  std::uint64_t revision = 0;
+  do {
+    std::tie(record, revision) = table_.wait(id, revision, std::chrono::milliseconds(200));
+  } while (!has_ended(record.state) && std::chrono::steady_clock::now() < deadline);
+  return record;
+}
+
+std::shared_ptr<ActiveJob> JobRunner::active(const std::string& id) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = active_.find(id);
+  return found == active_.end() ? nullptr : found->second;
+}
+
+void JobRunner::stop() {
+  std::vector<std::shared_ptr<ActiveJob>> jobs;
+  {
+    const std::lock_guard lock(mutex_);
+    stopping_ = true;
+    for (const auto& [id, job] : active_) jobs.push_back(job);
+  }
+  changed_.notify_all();
+  for (const auto& job : jobs) job->abort(Error(ErrorCode::kUnavailable, "the coordinator is stopping"));
+}
+
+bool JobRunner::stopping() const {
+  const std::lock_guard lock(mutex_);
+  return stopping_;
+}
+
+void JobRunner::work() {
+  std::unique_lock lock(mutex_);
+  while (true) {
+    changed_.wait(lock, [this] { return stopping_ || !queue_.empty(); });
+    if (stopping_) return;
+    auto job = std::make_shared<ActiveJob>(queue_.front());
+    queue_.pop_front();
+    active_[job->id] = job;
+    lock.unlock();
+    execute(*job);
+    lock.lock();
+    active_.erase(job->id);
+  }
+}
+
+void JobRunner::execute(ActiveJob& job) {
+  std::optional<Error> failure;
+  try {
+    v1::CreateJobRequest request;
+    if (!request.ParseFromString(table_.request(job.id))) {
+      throw_data_loss((table_.folder(job.id) / "request.pb").string() + ": is corrupt");
+    }
+    const fs::path result = table_.folder(job.id) / "result.h5";
+    table_.update(job.id, [](JobRecord& record) { record.state = JobState::kRunning; });
+    if (!fs::exists(result)) enhance(job, request);
+    if (request.reference() && !ResultReader(result).info().has_fine) {
+      table_.update(job.id, [](JobRecord& record) { record.state = JobState::kReference; });
+      simulate_reference(job, request);
+    }
+    table_.update(job.id, [](JobRecord& record) {
+      record.state = JobState::kDone;
+      record.frames_complete = record.frames;
+      record.reference_frames_complete = record.reference ? record.frames : 0;
+    });
+    for (const char* scratch : {"checkpoint.bin", "reference_checkpoint.bin"}) {
+      std::error_code ignored;
+      fs::remove(table_.folder(job.id) / scratch, ignored);
+    }
+  } catch (const Error& e) {
+    failure = job.cause().value_or(e);
+  } catch (const std::exception& e) {
+    failure = Error(ErrorCode::kInternal, e.what());
+  }
+  if (!failure || stopping()) return;
+  try {
+    table_.update(job.id, [&](JobRecord& record) {
+      record.state = failure->code() == ErrorCode::kCancelled ? JobState::kCancelled : JobState::kFailed;
+      if (record.state == JobState::kFailed) record.error = failure->what();
+    });
+  } catch (const Error&) {
+    // The disk is full even for the record: it is right in memory, and unfinished for the next start.
+  }
+}
+
+}  // namespace pleat::coordinator

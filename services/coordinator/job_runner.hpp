@@ -1,0 +1,115 @@
+// Works jobs off: simulation, pipeline, result file, and the reference simulation after it.
+#pragma once
+
+#include <condition_variable>
+#include <deque>
+#include <filesystem>
+#include <functional>
+#include <list>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "pleat/v1/coordinator.pb.h"
+#include "services/coordinator/job_feed.hpp"
+#include "services/coordinator/job_table.hpp"
+#include "services/coordinator/pipeline.hpp"
+
+namespace pleat::coordinator {
+
+struct JobSettings {
+  std::size_t concurrency = 2;             ///< jobs at the same time; others are queued
+  std::uint32_t window = 4;                ///< frames in flight per stage and replica
+  std::uint32_t checkpoint_interval = 25;  ///< frames between check-points of the simulation
+  std::uint32_t max_frames = 1'000'000;    ///< of one job
+  bool compress = true;                    ///< the finished result file
+};
+
+/// A job that is being worked on, as far as others may touch it.
+class ActiveJob {
+ public:
+  explicit ActiveJob(std::string job_id) : id(std::move(job_id)) {}
+
+  const std::string id;
+  JobFeed feed;
+
+  /// Ends the work soon; the first cause counts. From any thread.
+  void abort(const Error& cause);
+  std::optional<Error> cause() const;
+
+  /// While it lives, abort() calls `interrupt` (at once if it was called before).
+  class Interrupt {
+   public:
+    Interrupt(ActiveJob& job, std::function<void(const Error&)> interrupt);
+    ~Interrupt();
+    Interrupt(const Interrupt&) = delete;
+    Interrupt& operator=(const Interrupt&) = delete;
+
+   private:
+    ActiveJob& job_;
+    std::list<std::function<void(const Error&)>>::iterator place_;
+  };
+
+ private:
+  mutable std::mutex mutex_;
+  std::optional<Error> cause_;
+  std::list<std::function<void(const Error&)>> interrupts_;
+};
+
+/// Takes up unfinished jobs of the table at once. Thread-safe.
+class JobRunner {
+ public:
+  JobRunner(JobTable& table, ServiceAddresses addresses, LinkOptions link, JobSettings settings);
+  /// stop().
+  ~JobRunner();
+
+  /// Checks the request (the scene by opening it in the simulation service, the bundle by asking for it) and queues it.
+  /// Errors: kInvalidArgument and kNotFound from the services, kFailedPrecondition (bundle of another mesh),
+  /// kUnavailable naming the service's address.
+  JobRecord create(const v1::CreateJobRequest& request);
+
+  /// Ends the job, if it has not ended, and waits for that (at most 5 s).
+  JobRecord cancel(const std::string& id);
+
+  /// Null if the job is not being worked on.
+  std::shared_ptr<ActiveJob> active(const std::string& id) const;
+
+  /// Interrupts all jobs; they stay unfinished in the table and go on when a runner is made for it again.
+  void stop();
+  bool stopping() const;
+
+ private:
+  void work();
+  void execute(ActiveJob& job);
+  void enhance(ActiveJob& job, const v1::CreateJobRequest& request);
+  void simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request);
+
+  JobTable& table_;
+  const ServiceAddresses addresses_;
+  const LinkOptions link_;
+  const JobSettings settings_;
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<std::string> queue_;
+  std::map<std::string, std::shared_ptr<ActiveJob>> active_;
+  bool stopping_ = false;
+  std::vector<std::thread> workers_;
+};
+
+/// The file where the job's frames are: complete, partial, or nothing yet.
+std::optional<std::filesystem::path> result_file(const std::filesystem::path& job_folder);
+
+/// A check-point of a simulation in a file, with the index of the frame that it was made after.
+struct Checkpoint {
+  std::uint64_t index = 0;
+  std::string state;
+};
+void save_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
+/// Nothing if there is no usable one.
+std::optional<Checkpoint> load_checkpoint(const std::filesystem::path& path);
+
+}  // namespace pleat::coordinator

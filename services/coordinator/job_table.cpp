@@ -1,0 +1,211 @@
+#include "services/coordinator/job_table.hpp"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <random>
+#include <sstream>
+
+#include "common/base/error.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr auto kSaveInterval = std::chrono::seconds(1);
+
+std::string random_id(const std::string& scene_name) {
+  std::random_device device;
+  std::string id = scene_name.substr(0, 40);
+  if (!id.empty()) id += '-';
+  constexpr char kDigits[] = "0123456789abcdefghijklmnopqrstuvwxyz";
+  for (int i = 0; i < 10; ++i) id += kDigits[device() % 36];
+  return id;
+}
+
+class FileDescriptor {
+ public:
+  FileDescriptor(const fs::path& path, int flags) : fd_(::open(path.c_str(), flags | O_CLOEXEC, 0644)) {}
+  ~FileDescriptor() {
+    if (fd_ >= 0) ::close(fd_);
+  }
+  FileDescriptor(const FileDescriptor&) = delete;
+  FileDescriptor& operator=(const FileDescriptor&) = delete;
+  int get() const { return fd_; }
+
+ private:
+  int fd_;
+};
+
+}  // namespace
+
+void replace_file(const fs::path& path, const std::string& content) {
+  fs::path temporary = path;
+  temporary += ".new";
+  const auto fail = [&](const char* what) {
+    const std::string cause = std::strerror(errno);
+    std::error_code ignored;
+    fs::remove(temporary, ignored);
+    throw Error(ErrorCode::kResourceExhausted, path.string() + ": " + what + ": " + cause);
+  };
+  {
+    const FileDescriptor file(temporary, O_WRONLY | O_CREAT | O_TRUNC);
+    if (file.get() < 0) fail("can't be made");
+    std::size_t written = 0;
+    while (written < content.size()) {
+      const ssize_t count = ::write(file.get(), content.data() + written, content.size() - written);
+      if (count < 0 && errno == EINTR) continue;
+      if (count < 0) fail("can't be written");
+      written += static_cast<std::size_t>(count);
+    }
+    if (::fdatasync(file.get()) != 0) fail("can't be written");
+  }
+  if (::rename(temporary.c_str(), path.c_str()) != 0) fail("can't be replaced");
+}
+
+std::optional<std::string> read_file(const fs::path& path) {
+  if (!fs::exists(path)) return std::nullopt;
+  std::ifstream in(path, std::ios::binary);
+  std::ostringstream content;
+  content << in.rdbuf();
+  if (!in) throw_data_loss(path.string() + ": can't be read");
+  return std::move(content).str();
+}
+
+JobTable::JobTable(const fs::path& data) : jobs_(data / "jobs") {
+  std::error_code error;
+  fs::create_directories(jobs_, error);
+  if (error || ::access(jobs_.c_str(), W_OK | X_OK) != 0) {
+    throw_invalid_argument("data folder " + data.string() +
+                           " can't be written: " + (error ? error.message() : std::strerror(errno)));
+  }
+  for (const auto& folder : fs::directory_iterator(jobs_)) {
+    const fs::path file = folder.path() / "job.json";
+    try {
+      const auto text = read_file(file);
+      if (!text) continue;
+      Entry entry;
+      entry.record = job_from_json(*text, file.string());
+      if (entry.record.id != folder.path().filename()) throw_data_loss(file.string() + ": belongs to another job");
+      next_order_ = std::max(next_order_, entry.record.order + 1);
+      entries_.emplace(entry.record.id, std::move(entry));
+    } catch (const Error& e) {
+      warnings_.emplace_back(e.what());
+    }
+  }
+}
+
+std::pair<JobRecord, bool> JobTable::create(const JobRequest& request) {
+  if (!request.id.empty() && !is_valid_job_id(request.id)) {
+    throw_invalid_argument("job_id '" + request.id + "': 1 to 64 letters, digits, '-' or '_'");
+  }
+  const std::lock_guard lock(mutex_);
+  if (const auto known = entries_.find(request.id); known != entries_.end()) {
+    if (read_file(jobs_ / request.id / "request.pb") != request.request) {
+      throw Error(ErrorCode::kAlreadyExists, "job " + request.id + " exists and was made by another request");
+    }
+    return {known->second.record, false};
+  }
+  Entry entry;
+  entry.record.id = request.id;
+  while (entry.record.id.empty() || entries_.contains(entry.record.id)) {
+    entry.record.id = random_id(is_valid_job_id(request.scene_name) ? request.scene_name : "");
+  }
+  entry.record.scene_name = request.scene_name;
+  entry.record.frames = request.frames;
+  entry.record.reference = request.reference;
+  entry.record.model = request.model;
+  entry.record.order = next_order_++;
+  const fs::path folder = jobs_ / entry.record.id;
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) throw Error(ErrorCode::kResourceExhausted, folder.string() + ": " + error.message());
+  // The record comes last: a folder without one is no job.
+  replace_file(folder / "request.pb", request.request);
+  save(entry);
+  const auto made = entries_.emplace(entry.record.id, std::move(entry)).first;
+  changed_.notify_all();
+  return {made->second.record, true};
+}
+
+bool JobTable::contains(const std::string& id) const {
+  const std::lock_guard lock(mutex_);
+  return entries_.contains(id);
+}
+
+JobRecord JobTable::get(const std::string& id) const {
+  const std::lock_guard lock(mutex_);
+  return find(id).record;
+}
+
+std::vector<JobRecord> JobTable::list() const {
+  std::vector<JobRecord> records;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [id, entry] : entries_) records.push_back(entry.record);
+  }
+  std::sort(records.begin(), records.end(), [](const auto& a, const auto& b) { return a.order > b.order; });
+  return records;
+}
+
+std::vector<JobRecord> JobTable::unfinished() const {
+  std::vector<JobRecord> records = list();
+  std::erase_if(records, [](const JobRecord& record) { return has_ended(record.state); });
+  std::reverse(records.begin(), records.end());
+  return records;
+}
+
+std::string JobTable::request(const std::string& id) const {
+  const fs::path file = folder(id) / "request.pb";
+  auto content = read_file(file);
+  if (!content) throw_data_loss(file.string() + ": is missing");
+  return *std::move(content);
+}
+
+fs::path JobTable::folder(const std::string& id) const {
+  const std::lock_guard lock(mutex_);
+  return jobs_ / find(id).record.id;
+}
+
+JobRecord JobTable::update(const std::string& id, const std::function<void(JobRecord&)>& change) {
+  const std::lock_guard lock(mutex_);
+  Entry& entry = const_cast<Entry&>(find(id));
+  JobRecord record = entry.record;
+  change(record);
+  const bool state_changed = record.state != entry.record.state;
+  if (state_changed && !may_become(entry.record.state, record.state)) {
+    throw Error(ErrorCode::kFailedPrecondition, "job " + id + " is " + std::string(to_string(entry.record.state)) +
+                                                    " and can't become " + std::string(to_string(record.state)));
+  }
+  entry.record = std::move(record);
+  ++entry.revision;
+  changed_.notify_all();
+  if (state_changed || std::chrono::steady_clock::now() - entry.saved >= kSaveInterval) save(entry);
+  return entry.record;
+}
+
+std::pair<JobRecord, std::uint64_t> JobTable::wait(const std::string& id, std::uint64_t revision,
+                                                   std::chrono::milliseconds timeout) const {
+  std::unique_lock lock(mutex_);
+  const Entry& entry = find(id);
+  changed_.wait_for(lock, timeout, [&] { return entry.revision > revision; });
+  return {entry.record, entry.revision};
+}
+
+const JobTable::Entry& JobTable::find(const std::string& id) const {
+  const auto found = entries_.find(id);
+  if (found == entries_.end()) throw_not_found("no job '" + id + "'");
+  return found->second;
+}
+
+void JobTable::save(Entry& entry) {
+  replace_file(jobs_ / entry.record.id / "job.json", to_json(entry.record));
+  entry.saved = std::chrono::steady_clock::now();
+}
+
+}  // namespace pleat::coordinator

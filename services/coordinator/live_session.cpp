@@ -1,0 +1,291 @@
+#include "services/coordinator/live_session.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+#include <thread>
+#include <utility>
+
+#include "common/frame/messages.hpp"
+#include "services/coordinator/velocity_filler.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+constexpr double kDefaultFrameTime = 0.04;
+constexpr std::uint32_t kDefaultSubdivisionRounds = 2;
+constexpr std::uint32_t kMaxSubdivisionRounds = 5;
+constexpr int kInvalidArgument = static_cast<int>(grpc::StatusCode::INVALID_ARGUMENT);
+
+void check_obstacles(const v1::EnhanceOpen& open) {
+  std::set<std::string> names;
+  for (const auto& obstacle : open.obstacles()) {
+    if (obstacle.name().empty()) throw_invalid_argument("open.obstacles: an obstacle without a name");
+    if (!names.insert(obstacle.name()).second) {
+      throw_invalid_argument("open.obstacles: '" + obstacle.name() + "' is there twice");
+    }
+  }
+}
+
+bool is_finite(const google::protobuf::RepeatedField<float>& values) {
+  return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
+}
+
+/// What is wrong with a client's frame; empty if nothing.
+std::string fault_of(const v1::Frame& frame, Eigen::Index vertices) {
+  const auto size = static_cast<int>(3 * vertices);
+  const auto expected = std::to_string(vertices) + " vertices (" + std::to_string(size) + " values)";
+  if (frame.positions_size() != size) {
+    return "positions: " + std::to_string(frame.positions_size()) + " values given, the session has " + expected;
+  }
+  if (frame.velocities_size() != 0 && frame.velocities_size() != size) {
+    return "velocities: " + std::to_string(frame.velocities_size()) + " values given, the session has " + expected;
+  }
+  if (!is_finite(frame.positions())) return "positions: a value is not finite";
+  if (!is_finite(frame.velocities())) return "velocities: a value is not finite";
+  return {};
+}
+
+}  // namespace
+
+class LiveSessions::Session {
+ public:
+  Session(const LiveSessions& owner, grpc::CallbackServerContext* context)
+      : owner_(owner), reactor_(Reactor::make(context, [this] { client_gone(); })) {}
+
+  Reactor* reactor() const { return reactor_.get(); }
+
+  /// The whole session, in its own thread.
+  void run() {
+    auto* metrics = owner_.link_.metrics;
+    if (metrics != nullptr) metrics->add_sessions(1);
+    const grpc::Status status = rpc::guard([&] { serve(); });
+    if (!status.ok() && !is_gone()) spdlog::warn("live session ended: {}", status.error_message());
+    reactor_->finish(status);
+    if (metrics != nullptr) metrics->add_sessions(-1);
+  }
+
+  void drain() {
+    set(draining_);
+    reactor_->interrupt();
+  }
+
+ private:
+  void serve() {
+    const v1::EnhanceRequest* first = reactor_->read();
+    if (first == nullptr) return;
+    if (!first->has_open()) throw_invalid_argument("the first message of a stream must be `open`");
+    const v1::EnhanceOpen open = first->open();
+    window_ = rpc::checked_window(open.window());
+    if (open.frame_time_s() < 0 || !std::isfinite(open.frame_time_s())) {
+      throw_invalid_argument("open.frame_time_s: must be above 0");
+    }
+    if (open.has_clearance_m() && !(open.clearance_m() >= 0 && std::isfinite(open.clearance_m()))) {
+      throw_invalid_argument("open.clearance_m: must be 0 or more");
+    }
+    if (open.has_subdivision_rounds() && open.subdivision_rounds() > kMaxSubdivisionRounds) {
+      throw_invalid_argument("open.subdivision_rounds: at most " + std::to_string(kMaxSubdivisionRounds));
+    }
+    check_obstacles(open);
+    const Topology coarse = from_message(open.coarse(), "open.coarse");
+    validate_material_coordinates(coarse, "open.coarse");
+    coarse_vertices_ = coarse.vertex_count();
+
+    PipelineSession session;
+    session.coarse = open.coarse();
+    session.coarse.set_hash(topology_hash(coarse));
+    session.subdivision_rounds = open.has_subdivision_rounds() ? open.subdivision_rounds() : kDefaultSubdivisionRounds;
+    session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
+    session.obstacles = open.obstacles();
+    if (open.has_clearance_m()) session.clearance_m = open.clearance_m();
+    session.skip_refinement = open.skip_refinement();
+    session.window = window_;
+    const Subdivision subdivision = subdivide(coarse, static_cast<int>(session.subdivision_rounds));
+
+    EnhancementPipeline pipeline(
+        owner_.addresses_, owner_.link_, session, static_cast<std::size_t>(subdivision.fine.vertex_count()),
+        topology_hash(subdivision.fine), [this](std::unique_ptr<PipelineFrame> frame) { answer(*frame); },
+        [this] { pipeline_failed(); });
+    const Attachment attachment(*this, pipeline);
+    pipeline.wait_open();
+    write_opened(subdivision, session);
+    take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime);
+    pipeline.close();
+    pipeline.wait();
+    if (broken_sequence_) throw_invalid_argument("after `open` only frames may follow");
+    if (is_draining()) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+  }
+
+  void write_opened(const Subdivision& subdivision, const PipelineSession& session) {
+    v1::EnhanceResponse response;
+    v1::EnhanceOpened& opened = *response.mutable_opened();
+    *opened.mutable_fine() = to_message(subdivision.fine);
+    opened.mutable_feature_vertices()->Assign(subdivision.feature_vertices.begin(), subdivision.feature_vertices.end());
+    opened.set_model(session.model.model());
+    opened.set_device(session.model.device());
+    opened.set_precision(session.model.precision());
+    opened.set_window(window_);
+    reactor_->write(response);
+  }
+
+  /// Reads until the client has no more. At most `window` frames are unanswered.
+  void take_frames(EnhancementPipeline& pipeline, double frame_time_s) {
+    VelocityFiller velocities(frame_time_s);
+    for (std::uint64_t sequence = 0; wait_for_room(); ++sequence) {
+      const v1::EnhanceRequest* request = reactor_->read();
+      if (request == nullptr) return;
+      if (!request->has_frame()) {
+        broken_sequence_ = true;
+        return;
+      }
+      auto frame = std::make_unique<PipelineFrame>();
+      frame->sequence = sequence;
+      frame->coarse = request->frame().coarse();
+      frame->index = frame->coarse.index();
+      frame->obstacles = request->frame().obstacles();
+      const std::string fault = fault_of(frame->coarse, coarse_vertices_);
+      if (!fault.empty()) {
+        frame->fail(kInvalidArgument, fault);
+      } else {
+        const auto& positions = frame->coarse.positions();
+        const auto filled = velocities.fill(frame->index, positions.data(), static_cast<std::size_t>(positions.size()));
+        if (frame->coarse.velocities().empty())
+          frame->coarse.mutable_velocities()->Assign(filled.begin(), filled.end());
+      }
+      if (!pipeline.push(std::move(frame))) return;
+    }
+  }
+
+  bool wait_for_room() {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [this] { return in_flight_ < window_ || gone_ || draining_ || failed_; });
+    if (gone_ || draining_ || failed_) return false;
+    ++in_flight_;
+    return true;
+  }
+
+  void answer(PipelineFrame& frame) {
+    v1::EnhanceResponse response;
+    if (frame.error) {
+      *response.mutable_error() = *frame.error;
+    } else {
+      v1::EnhancedFrame& enhanced = *response.mutable_frame();
+      enhanced.mutable_fine()->Swap(&frame.fine);
+      enhanced.mutable_fine()->set_index(frame.index);
+      enhanced.mutable_fine()->set_time_s(frame.coarse.time_s());
+      enhanced.mutable_report()->Swap(&frame.report);
+      enhanced.mutable_stage_times()->Swap(&frame.stage_times);
+    }
+    const bool written = reactor_->write(response);
+    {
+      const std::lock_guard lock(mutex_);
+      --in_flight_;
+    }
+    changed_.notify_all();
+    if (!written) throw Error(ErrorCode::kCancelled, "the client has gone");
+  }
+
+  void client_gone() {
+    set(gone_);
+    {
+      const std::lock_guard lock(attachment_mutex_);
+      if (pipeline_ != nullptr) pipeline_->fail(Error(ErrorCode::kCancelled, "the client has gone"));
+    }
+    reactor_->interrupt();
+  }
+
+  void pipeline_failed() {
+    set(failed_);
+    reactor_->interrupt();
+  }
+
+  void set(bool& flag) {
+    {
+      const std::lock_guard lock(mutex_);
+      flag = true;
+    }
+    changed_.notify_all();
+  }
+
+  bool is_gone() {
+    const std::lock_guard lock(mutex_);
+    return gone_;
+  }
+  bool is_draining() {
+    const std::lock_guard lock(mutex_);
+    return draining_;
+  }
+
+  /// While it lives, a client that goes ends the pipeline.
+  class Attachment {
+   public:
+    Attachment(Session& session, EnhancementPipeline& pipeline) : session_(session) {
+      const std::lock_guard lock(session_.attachment_mutex_);
+      session_.pipeline_ = &pipeline;
+      if (session_.is_gone()) pipeline.fail(Error(ErrorCode::kCancelled, "the client has gone"));
+    }
+    ~Attachment() {
+      const std::lock_guard lock(session_.attachment_mutex_);
+      session_.pipeline_ = nullptr;
+    }
+    Attachment(const Attachment&) = delete;
+    Attachment& operator=(const Attachment&) = delete;
+
+   private:
+    Session& session_;
+  };
+
+  const LiveSessions& owner_;
+  std::shared_ptr<Reactor> reactor_;
+  std::uint32_t window_ = rpc::kDefaultWindow;
+  Eigen::Index coarse_vertices_ = 0;
+  bool broken_sequence_ = false;
+  std::mutex attachment_mutex_;  ///< before mutex_
+  EnhancementPipeline* pipeline_ = nullptr;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::uint32_t in_flight_ = 0;
+  bool gone_ = false, draining_ = false, failed_ = false;
+};
+
+LiveSessions::LiveSessions(ServiceAddresses addresses, LinkOptions link, LiveSettings settings)
+    : addresses_(std::move(addresses)), link_(std::move(link)), settings_(settings) {}
+
+LiveSessions::~LiveSessions() {
+  drain();
+  std::unique_lock lock(mutex_);
+  changed_.wait(lock, [this] { return sessions_.empty(); });
+}
+
+LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context) {
+  const std::lock_guard lock(mutex_);
+  if (draining_ || sessions_.size() >= settings_.max_sessions) {
+    auto refused = Reactor::make(context);
+    refused->refuse(draining_
+                        ? grpc::Status(grpc::StatusCode::UNAVAILABLE, "the coordinator is stopping")
+                        : grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                                       "there are " + std::to_string(sessions_.size()) + " live sessions already"));
+    return refused.get();
+  }
+  auto session = std::make_shared<Session>(*this, context);
+  sessions_.insert(session);
+  Reactor* reactor = session->reactor();
+  std::thread([this, session]() mutable {
+    session->run();
+    const std::lock_guard ended(mutex_);
+    sessions_.erase(session);
+    session.reset();
+    changed_.notify_all();
+  }).detach();
+  return reactor;
+}
+
+void LiveSessions::drain() {
+  const std::lock_guard lock(mutex_);
+  draining_ = true;
+  for (const auto& session : sessions_) session->drain();
+}
+
+}  // namespace pleat::coordinator

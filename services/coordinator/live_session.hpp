@@ -1,0 +1,46 @@
+// Coordinator.Enhance: coarse frames in, refined fine frames out, live.
+#pragma once
+
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <set>
+
+#include "pleat/v1/coordinator.pb.h"
+#include "services/coordinator/blocking_reactor.hpp"
+#include "services/coordinator/pipeline.hpp"
+
+namespace pleat::coordinator {
+
+struct LiveSettings {
+  std::size_t max_sessions = 32;
+};
+
+/// All live sessions of a coordinator; each has a thread that reads, and the pipeline's own. Thread-safe.
+class LiveSessions {
+ public:
+  using Reactor = BlockingReactor<v1::EnhanceRequest, v1::EnhanceResponse>;
+
+  LiveSessions(ServiceAddresses addresses, LinkOptions link, LiveSettings settings);
+  /// Waits until the last session has ended; call drain() and stop the server first.
+  ~LiveSessions();
+
+  /// The handler of one call.
+  Reactor* start(grpc::CallbackServerContext* context);
+
+  /// Sessions take no further frame, answer those in flight, and end with UNAVAILABLE; new ones are refused.
+  void drain();
+
+ private:
+  class Session;
+
+  const ServiceAddresses addresses_;
+  const LinkOptions link_;
+  const LiveSettings settings_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::set<std::shared_ptr<Session>> sessions_;
+  bool draining_ = false;
+};
+
+}  // namespace pleat::coordinator

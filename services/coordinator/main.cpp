@@ -1,0 +1,47 @@
+// pleat-coordinator: sequences the stages per frame; jobs that end in a result file, and live sessions.
+#include <spdlog/spdlog.h>
+
+#include "common/config/options.hpp"
+#include "common/rpc/server.hpp"
+#include "services/coordinator/service.hpp"
+
+namespace {
+
+int run(int argc, char** argv) {
+  pleat::rpc::ServerOptions server;
+  server.listen = "unix:/tmp/pleat/coordinator.sock";
+  pleat::coordinator::CoordinatorOptions coordinator;
+
+  pleat::config::Options options("pleat-coordinator", "Sequences the stages per frame: jobs and live sessions.",
+                                 "PLEAT_COORDINATOR_");
+  pleat::rpc::add_options(options, server);
+  options.add("simulation", coordinator.simulation, "address of the simulation service, or several with commas")
+      .add("conversion", coordinator.conversion, "addresses of the conversion service")
+      .add("superres", coordinator.superres, "addresses of the super-resolution service")
+      .add("refinement", coordinator.refinement, "addresses of the refinement service")
+      .add("service-tls-ca", coordinator.service_tls.ca_file, "PEM file, for services on other hosts")
+      .add("service-tls-certificate", coordinator.service_tls.certificate_file, "PEM file")
+      .add("service-tls-key", coordinator.service_tls.key_file, "PEM file")
+      .add("data", coordinator.data, "folder of the jobs and their results")
+      .add("give-up-s", coordinator.give_up_s, "a service that is away this long fails its jobs and sessions")
+      .add("answer-timeout-s", coordinator.answer_timeout_s, "a service that does not answer this long is reconnected")
+      .add("jobs", coordinator.jobs.concurrency, "jobs at the same time")
+      .add("window", coordinator.jobs.window, "frames of a job in flight per stage and replica, 1 to 64")
+      .add("checkpoint-interval", coordinator.jobs.checkpoint_interval, "frames between check-points of a simulation")
+      .add("max-frames", coordinator.jobs.max_frames, "longest job")
+      .add("compress", coordinator.jobs.compress, "compress finished result files")
+      .add("max-sessions", coordinator.live.max_sessions, "live sessions at the same time");
+  if (!options.parse(argc, argv)) return 0;
+  pleat::telemetry::set_up_logging("coordinator", server.log);
+  spdlog::info("options: {}", options.effective());
+
+  pleat::telemetry::Metrics metrics("coordinator");
+  pleat::coordinator::CoordinatorService service(coordinator, &metrics);
+  return pleat::rpc::run_server(server, {{&service, "pleat.v1.Coordinator", [&] { service.drain(); }}}, metrics);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return pleat::rpc::service_main("pleat-coordinator", [&] { return run(argc, argv); });
+}

@@ -1,0 +1,40 @@
+// One frame on its way through the stages.
+#pragma once
+
+#include <google/protobuf/message.h>
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+
+#include "pleat/v1/common.pb.h"
+#include "pleat/v1/conversion.pb.h"
+
+namespace pleat::coordinator {
+
+using ObstacleFrames = google::protobuf::RepeatedPtrField<v1::ObstacleFrame>;
+using StageTimes = google::protobuf::RepeatedPtrField<v1::StageTime>;
+
+struct PipelineFrame {
+  std::uint64_t sequence = 0;  ///< place in the session; the frame index between the services
+  std::uint64_t index = 0;     ///< the client's frame index; equal to `sequence` in jobs
+  v1::Frame coarse;            ///< with velocities
+  ObstacleFrames obstacles;
+  v1::ImageFrame image;  ///< coarse after to_image, fine after superres, empty after to_mesh
+  v1::RigidTransform alignment;
+  v1::Frame fine;  ///< after to_mesh; refined after refinement
+  v1::RefinementReport report;
+  StageTimes stage_times;
+  std::optional<v1::FrameError> error;  ///< set: no stage touches the frame any more, it only keeps its place
+
+  std::shared_ptr<const google::protobuf::Message> work;  ///< the request of the stage that the frame is in
+
+  void fail(int code, const std::string& message) {
+    error.emplace();
+    error->set_index(index);
+    error->set_code(code);
+    error->set_message(message);
+  }
+};
+
+}  // namespace pleat::coordinator

@@ -1,0 +1,318 @@
+// A stage that runs in other processes: one frame stream per replica, reconnected when it breaks, its frames sent
+// again.
+#pragma once
+
+#include <grpcpp/channel.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "common/base/error.hpp"
+#include "common/rpc/status.hpp"
+#include "common/rpc/stream.hpp"
+#include "common/telemetry/metrics.hpp"
+#include "services/coordinator/backoff.hpp"
+#include "services/coordinator/pipeline_frame.hpp"
+#include "services/coordinator/stage_scheduler.hpp"
+
+namespace pleat::coordinator {
+
+/// How to reach services, and how long to try.
+struct LinkOptions {
+  std::function<std::shared_ptr<grpc::Channel>(const std::string& address)> connect;
+  std::chrono::milliseconds give_up{30'000};         ///< a service that is away this long fails its sessions
+  std::chrono::milliseconds open_timeout{60'000};    ///< for `opened`; maps and factorisations are made then
+  std::chrono::milliseconds answer_timeout{60'000};  ///< for one frame; afterwards the stream counts as broken
+  telemetry::Metrics* metrics = nullptr;             ///< may be null
+};
+
+/// Whether the same call may succeed later: the service was away, hung, or failed in a way that may be passing.
+inline bool may_pass(ErrorCode code) {
+  return code == ErrorCode::kUnavailable || code == ErrorCode::kDeadlineExceeded || code == ErrorCode::kInternal ||
+         code == ErrorCode::kResourceExhausted;
+}
+
+/// "30 s", or "1500 ms" where seconds would lie.
+inline std::string in_words(std::chrono::milliseconds time) {
+  return time.count() % 1000 == 0 ? std::to_string(time.count() / 1000) + " s" : std::to_string(time.count()) + " ms";
+}
+
+/// Decides when a service that fails has failed for too long: from the first failure after it last served. Thread-safe.
+class Outage {
+ public:
+  using Clock = std::chrono::steady_clock;
+  explicit Outage(std::chrono::milliseconds give_up) : give_up_(give_up) {}
+
+  void serves() { since_ = kNever; }
+  /// To be asked at every failure.
+  bool too_long() {
+    const Clock::rep now = Clock::now().time_since_epoch().count();
+    Clock::rep since = kNever;
+    if (since_.compare_exchange_strong(since, now)) since = now;
+    return Clock::duration(now - since) > give_up_;
+  }
+  /// The error to fail with: the last cause (it names service and address), and how long was tried.
+  Error gave_up(const Error& cause) const {
+    return Error(ErrorCode::kUnavailable, std::string(cause.what()) + "; gave up after " + in_words(give_up_));
+  }
+
+ private:
+  static constexpr Clock::rep kNever = 0;
+  std::chrono::milliseconds give_up_;
+  std::atomic<Clock::rep> since_{kNever};
+};
+
+class Stage {
+ public:
+  virtual ~Stage() = default;
+  virtual bool push(std::unique_ptr<PipelineFrame> frame) = 0;  ///< with work, or with an error to pass on
+  virtual void close() = 0;
+  virtual void start() = 0;  ///< connects; callbacks come from now on
+  virtual void stop() = 0;   ///< returns at once; everything in flight is dropped
+  virtual void join() = 0;   ///< after stop() or when drained: waits until no callback can come any more
+};
+
+/// Rpc: Service, Request, Response, start(stub, context), and absorb(PipelineFrame&, Response::frame*).
+template <typename Rpc>
+class RemoteStage final : public Stage {
+ public:
+  using Request = typename Rpc::Request;
+  using Response = typename Rpc::Response;
+  using Stream = rpc::FrameStream<Request, Response>;
+  using Opened = std::decay_t<decltype(std::declval<const Response&>().opened())>;
+
+  struct Options {
+    std::string stage;    ///< "to_image", in metrics
+    std::string service;  ///< "conversion", in messages
+    std::vector<std::string> addresses;
+    Request open;
+    std::uint32_t window = rpc::kDefaultWindow;
+    std::uint64_t first_sequence = 0;
+    LinkOptions link;
+  };
+  struct Callbacks {
+    std::function<void(const Opened&)> opened;  ///< every time a replica opened; may throw: then the session fails
+    std::function<void(std::unique_ptr<PipelineFrame>)> deliver;
+    std::function<void()> drained;
+    std::function<void(const Error&)> failed;
+  };
+
+  RemoteStage(Options options, Callbacks callbacks)
+      : options_(std::move(options)),
+        callbacks_(std::move(callbacks)),
+        outage_(options_.link.give_up),
+        scheduler_({.replicas = options_.addresses.size(), .window = options_.window}, options_.first_sequence,
+                   callbacks_.deliver, callbacks_.drained),
+        streams_(options_.addresses.size(), nullptr) {}
+
+  ~RemoteStage() override {
+    stop();
+    join();
+  }
+
+  void start() override {
+    for (std::size_t r = 0; r < options_.addresses.size(); ++r) replicas_.emplace_back([this, r] { run(r); });
+  }
+
+  void join() override {
+    {
+      // Open streams close in good order; attempts to connect need not end any more.
+      const std::lock_guard lock(mutex_);
+      joining_ = true;
+      for (std::size_t r = 0; r < streams_.size(); ++r) {
+        if (streams_[r] != nullptr && !scheduler_.live(r)) streams_[r]->cancel();
+      }
+    }
+    for (std::thread& replica : replicas_) replica.join();
+    replicas_.clear();
+  }
+
+  bool push(std::unique_ptr<PipelineFrame> frame) override {
+    return frame->error ? scheduler_.pass(std::move(frame)) : scheduler_.push(std::move(frame));
+  }
+  void close() override { scheduler_.close(); }
+  void stop() override {
+    scheduler_.stop();
+    const std::lock_guard lock(mutex_);
+    for (Stream* stream : streams_) {
+      if (stream != nullptr) stream->cancel();
+    }
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  std::string peer(std::size_t r) const { return options_.service + " at " + options_.addresses[r]; }
+
+  void run(std::size_t r) {
+    Backoff backoff;
+    while (!scheduler_.finished()) {
+      bool answered = false;
+      const auto cause = session(r, answered);
+      if (!cause || scheduler_.finished()) return;
+      if (!may_pass(cause->code())) {
+        callbacks_.failed(*cause);
+        return;
+      }
+      if (answered) backoff.reset();
+      if (auto frame = scheduler_.broke_off(r)) {
+        frame->work.reset();
+        frame->fail(static_cast<int>(grpc::StatusCode::INTERNAL),
+                    "the stage broke off again and again at this frame: " + std::string(cause->what()));
+        scheduler_.complete(std::move(frame));
+      }
+      if (scheduler_.live() == 0 && outage_.too_long()) {
+        callbacks_.failed(outage_.gave_up(*cause));
+        return;
+      }
+      if (options_.link.metrics != nullptr) options_.link.metrics->count("reconnects");
+      scheduler_.wait_finished(backoff.next());
+    }
+  }
+
+  /// One connection, from connecting to its end. Returns why it broke, or nothing if the stage is finished.
+  std::optional<Error> session(std::size_t r, bool& answered) {
+    try {
+      // A new channel for each attempt: an old one waits by a schedule of its own before it connects again.
+      const auto stub = Rpc::Service::NewStub(options_.link.connect(options_.addresses[r]));
+      Stream stream([&](grpc::ClientContext* context) { return Rpc::start(*stub, context); },
+                    {.peer = peer(r),
+                     .window = options_.window,
+                     .open_timeout = options_.link.open_timeout,
+                     .frame_timeout = options_.link.answer_timeout});
+      const Registration registration(*this, r, stream);
+      const auto opened = stream.open(options_.open);
+      const auto since = Clock::now();
+      if (!accept(opened)) return std::nullopt;
+      scheduler_.connected(r);
+      auto cause = exchange(r, stream, answered);
+      // A stream that served, or that idled for a while, was no failed attempt: the outage begins now.
+      if (answered || Clock::now() - since > std::chrono::seconds(1)) outage_.serves();
+      return cause;
+    } catch (const Error& e) {
+      return e;
+    } catch (const std::exception& e) {
+      return Error(ErrorCode::kInternal, peer(r) + ": " + e.what());
+    }
+  }
+
+  bool accept(const Opened& opened) {
+    try {
+      if (callbacks_.opened) callbacks_.opened(opened);
+      return true;
+    } catch (const Error& e) {
+      callbacks_.failed(e);
+      return false;
+    }
+  }
+
+  std::optional<Error> exchange(std::size_t r, Stream& stream, bool& answered) {
+    std::optional<Error> read_failure, write_failure;
+    std::mutex mutex;
+    std::condition_variable ended;
+    bool reading = true;
+    std::thread reader([&] {
+      try {
+        receive(r, stream, answered);
+      } catch (const Error& e) {
+        read_failure = e;
+        stream.cancel();
+      } catch (const std::exception& e) {
+        read_failure = Error(ErrorCode::kInternal, peer(r) + ": " + e.what());
+        stream.cancel();
+      }
+      scheduler_.disconnected(r);
+      const std::lock_guard lock(mutex);
+      reading = false;
+      ended.notify_all();
+    });
+    try {
+      while (const auto work = scheduler_.take(r)) stream.push(static_cast<const Request&>(*work));
+      if (scheduler_.drained()) stream.close();
+    } catch (const Error& e) {
+      write_failure = e;
+    }
+    {
+      // At the end the service gets a moment to close its side in good order.
+      std::unique_lock lock(mutex);
+      if (!ended.wait_for(lock, std::chrono::seconds(scheduler_.drained() ? 1 : 0), [&] { return !reading; })) {
+        stream.cancel();
+      }
+    }
+    reader.join();
+    if (scheduler_.finished()) return std::nullopt;
+    if (read_failure && read_failure->code() != ErrorCode::kCancelled) return read_failure;
+    if (write_failure) return write_failure;
+    return Error(ErrorCode::kUnavailable, peer(r) + " ended the stream");
+  }
+
+  void receive(std::size_t r, Stream& stream, bool& answered) {
+    Response response;
+    while (stream.pop(&response)) {
+      const bool ok = response.has_frame();
+      if (!ok && !response.has_error()) {
+        throw Error(ErrorCode::kInternal, peer(r) + " sent a message that is no answer to a frame");
+      }
+      const std::uint64_t index = ok ? rpc::frame_index(response.frame()) : response.error().index();
+      std::chrono::duration<double> round_trip{};
+      auto frame = scheduler_.answered(r, index, round_trip);
+      if (!frame) {
+        throw Error(ErrorCode::kInternal,
+                    peer(r) + " answered frame " + std::to_string(index) + ", which it was not sent");
+      }
+      answered = true;
+      outage_.serves();
+      frame->work.reset();
+      if (ok) {
+        Rpc::absorb(*frame, *response.mutable_frame());
+      } else {
+        frame->fail(response.error().code(), options_.stage + ": " + response.error().message());
+      }
+      if (options_.link.metrics != nullptr) {
+        options_.link.metrics->frame_done(options_.stage, round_trip.count(), !frame->error.has_value());
+      }
+      scheduler_.complete(std::move(frame));
+    }
+  }
+
+  /// Lets stop() reach the stream of a replica.
+  class Registration {
+   public:
+    Registration(RemoteStage& stage, std::size_t r, Stream& stream) : stage_(stage), r_(r) {
+      const std::lock_guard lock(stage_.mutex_);
+      stage_.streams_[r_] = &stream;
+      if (stage_.scheduler_.finished() || stage_.joining_) stream.cancel();
+    }
+    ~Registration() {
+      const std::lock_guard lock(stage_.mutex_);
+      stage_.streams_[r_] = nullptr;
+    }
+    Registration(const Registration&) = delete;
+    Registration& operator=(const Registration&) = delete;
+
+   private:
+    RemoteStage& stage_;
+    std::size_t r_;
+  };
+
+  const Options options_;
+  const Callbacks callbacks_;
+  Outage outage_;
+  StageScheduler<PipelineFrame> scheduler_;
+  std::mutex mutex_;
+  bool joining_ = false;
+  std::vector<Stream*> streams_;
+  std::vector<std::thread> replicas_;
+};
+
+}  // namespace pleat::coordinator

@@ -1,0 +1,206 @@
+#include "services/coordinator/service.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include "services/coordinator/result_events.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+constexpr auto kProgressInterval = std::chrono::seconds(1);
+
+ServiceAddresses addresses_of(const CoordinatorOptions& options) {
+  return {.simulation = split_addresses("simulation", options.simulation),
+          .conversion = split_addresses("conversion", options.conversion),
+          .superres = split_addresses("superres", options.superres),
+          .refinement = split_addresses("refinement", options.refinement)};
+}
+
+std::chrono::milliseconds milliseconds_of(double seconds, const std::string& option) {
+  if (!(seconds > 0 && seconds <= 86'400)) throw_invalid_argument("--" + option + ": must lie in (0, 86400]");
+  return std::chrono::milliseconds(std::llround(seconds * 1e3));
+}
+
+LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metrics) {
+  LinkOptions link;
+  link.connect = [tls = options.service_tls](const std::string& address) { return rpc::create_channel(address, tls); };
+  link.give_up = milliseconds_of(options.give_up_s, "give-up-s");
+  link.open_timeout = link.answer_timeout = milliseconds_of(options.answer_timeout_s, "answer-timeout-s");
+  link.metrics = metrics;
+  return link;
+}
+
+v1::Job::State to_message(JobState state) {
+  switch (state) {
+    case JobState::kQueued:
+      return v1::Job::STATE_QUEUED;
+    case JobState::kRunning:
+      return v1::Job::STATE_RUNNING;
+    case JobState::kReference:
+      return v1::Job::STATE_REFERENCE;
+    case JobState::kDone:
+      return v1::Job::STATE_DONE;
+    case JobState::kFailed:
+      return v1::Job::STATE_FAILED;
+    case JobState::kCancelled:
+      return v1::Job::STATE_CANCELLED;
+  }
+  return v1::Job::STATE_UNSPECIFIED;
+}
+
+}  // namespace
+
+CoordinatorService::CoordinatorService(const CoordinatorOptions& options, telemetry::Metrics* metrics)
+    : table_(options.data),
+      runner_(table_, addresses_of(options), link_of(options, metrics), options.jobs),
+      live_(addresses_of(options), link_of(options, metrics), options.live) {
+  for (const std::string& warning : table_.warnings()) spdlog::warn("{}", warning);
+}
+
+grpc::Status CoordinatorService::CreateJob(grpc::ServerContext*, const v1::CreateJobRequest* request, v1::Job* job) {
+  return rpc::guard([&] {
+    const JobRecord record = runner_.create(*request);
+    spdlog::info("job {} accepted: scene '{}', {} frames", record.id, record.scene_name, record.frames);
+    *job = to_job(record);
+  });
+}
+
+grpc::Status CoordinatorService::CancelJob(grpc::ServerContext*, const v1::CancelJobRequest* request, v1::Job* job) {
+  return rpc::guard([&] { *job = to_job(runner_.cancel(request->id())); });
+}
+
+grpc::Status CoordinatorService::ListJobs(grpc::ServerContext*, const v1::ListJobsRequest*,
+                                          v1::ListJobsResponse* response) {
+  return rpc::guard([&] {
+    for (const JobRecord& record : table_.list()) *response->add_jobs() = to_job(record);
+  });
+}
+
+grpc::Status CoordinatorService::GetJob(grpc::ServerContext*, const v1::GetJobRequest* request, v1::Job* job) {
+  return rpc::guard([&] { *job = to_job(table_.get(request->id())); });
+}
+
+grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* CoordinatorService::Enhance(
+    grpc::CallbackServerContext* context) {
+  return live_.start(context);
+}
+
+void CoordinatorService::drain() {
+  draining_ = true;
+  live_.drain();
+  runner_.stop();
+}
+
+/// One WatchJob call. It follows the job at its own pace: new frames come from the job's feed, older ones from its
+/// file.
+class CoordinatorService::Watcher {
+ public:
+  Watcher(const CoordinatorService& service, const v1::WatchJobRequest& request,
+          grpc::ServerWriter<v1::JobEvent>& writer)
+      : service_(service), request_(request), writer_(writer), next_(request.from_index()) {}
+
+  /// Until the job has ended and everything was sent. False: the client has gone.
+  bool run(const grpc::ServerContext& context) {
+    std::uint64_t revision = 0;
+    JobRecord record = service_.table_.get(request_.id());
+    if (!send_progress(record)) return false;
+    while (true) {
+      if (context.IsCancelled()) return false;
+      if (service_.draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+      // Frames before the end: what is complete now stays readable, whatever becomes of the job.
+      if (request_.include_frames() && !send_frames(record.frames_complete)) return false;
+      if (has_ended(record.state)) return true;
+      std::tie(record, revision) = service_.table_.wait(request_.id(), revision, std::chrono::milliseconds(250));
+      const bool due = std::chrono::steady_clock::now() - progress_sent_ >= kProgressInterval;
+      if (has_ended(record.state) && request_.include_frames() && !send_frames(record.frames_complete)) return false;
+      if ((due || record.state != state_sent_) && !send_progress(record)) return false;
+    }
+  }
+
+ private:
+  bool send_progress(const JobRecord& record) {
+    v1::JobEvent event;
+    *event.mutable_progress() = service_.to_job(record);
+    progress_sent_ = std::chrono::steady_clock::now();
+    state_sent_ = record.state;
+    return writer_.Write(event);
+  }
+
+  bool send_frames(std::uint64_t end) {
+    if (next_ >= end) return true;
+    const auto job = service_.runner_.active(request_.id());
+    if (!opened_) {
+      EventPtr opened = job ? job->feed.opened() : nullptr;
+      if (!opened) {
+        const ResultReader& reader = file(0);
+        opened = make_opened_event(reader.info().topology, reader.info().obstacles);
+      }
+      if (!writer_.Write(*opened)) return false;
+      opened_ = true;
+    }
+    for (; next_ < end; ++next_) {
+      EventPtr event = job ? job->feed.frame(next_) : nullptr;
+      if (!event) event = read_event(file(next_), next_);
+      if (!writer_.Write(*event)) return false;
+    }
+    return true;
+  }
+
+  /// The result file, opened anew when it has grown beyond what the open one knows.
+  const ResultReader& file(std::uint64_t index) {
+    if (!reader_ || index >= reader_->frames_complete()) {
+      const auto path = result_file(service_.table_.folder(request_.id()));
+      if (!path) throw_not_found("job " + request_.id() + " has no result file");
+      reader_.emplace(*path);
+    }
+    return *reader_;
+  }
+
+  const CoordinatorService& service_;
+  const v1::WatchJobRequest& request_;
+  grpc::ServerWriter<v1::JobEvent>& writer_;
+  std::uint64_t next_;
+  bool opened_ = false;
+  std::optional<ResultReader> reader_;
+  std::chrono::steady_clock::time_point progress_sent_{};
+  JobState state_sent_ = JobState::kQueued;
+};
+
+grpc::Status CoordinatorService::WatchJob(grpc::ServerContext* context, const v1::WatchJobRequest* request,
+                                          grpc::ServerWriter<v1::JobEvent>* writer) {
+  return rpc::guard([&]() -> grpc::Status {
+    return Watcher(*this, *request, *writer).run(*context)
+               ? grpc::Status::OK
+               : grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
+  });
+}
+
+v1::Job CoordinatorService::to_job(const JobRecord& record) const {
+  v1::Job job;
+  job.set_id(record.id);
+  job.set_scene_name(record.scene_name);
+  job.set_state(to_message(record.state));
+  job.set_frames(record.frames);
+  job.set_frames_complete(record.frames_complete);
+  job.set_reference_frames_complete(record.reference_frames_complete);
+  job.set_error(record.error);
+  const auto folder = table_.folder(record.id);
+  job.set_result_path(std::filesystem::absolute(result_file(folder).value_or(folder / "result.h5")).string());
+  v1::JobSummary& summary = *job.mutable_summary();
+  summary.set_coarse_vertices(record.coarse_vertices);
+  summary.set_fine_vertices(record.fine_vertices);
+  summary.set_wall_s(record.wall_s);
+  summary.set_penetrations(record.penetrations);
+  summary.set_self_intersections(record.self_intersections);
+  summary.set_model(record.model);
+  summary.set_device(record.device);
+  summary.set_precision(record.precision);
+  summary.set_frame_errors(record.frame_errors);
+  return job;
+}
+
+}  // namespace pleat::coordinator

@@ -1,0 +1,262 @@
+// Which frame goes to which replica of a stage, what is sent again after a fault, and when a frame goes on: the part of
+// a stage that knows no network.
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace pleat::coordinator {
+
+struct StageLimits {
+  std::size_t replicas = 1;
+  std::size_t window = 4;  ///< frames in flight per replica
+  int strikes = 5;  ///< a frame that was the oldest in flight this many times when a replica broke off is given up
+};
+
+/// Item needs `std::uint64_t sequence` and `std::shared_ptr<const Work> work` (what is sent; constant while in flight).
+///
+/// Items enter in sequence, without gaps, and leave in sequence. At most replicas * window are inside, so that memory
+/// is bounded and a slow consumer slows the producer. Thread-safe; each replica has one sender and one receiver thread.
+template <typename Item>
+class StageScheduler {
+ public:
+  using ItemPtr = std::unique_ptr<Item>;
+  using Work = decltype(Item::work);
+  using Clock = std::chrono::steady_clock;
+  /// Takes an item that is done; called by one thread at a time, in sequence; may block.
+  using Deliver = std::function<void(ItemPtr)>;
+
+  /// drained: called once when the stage is closed and everything was delivered.
+  StageScheduler(StageLimits limits, std::uint64_t first_sequence, Deliver deliver, std::function<void()> drained)
+      : limits_(limits),
+        next_(first_sequence),
+        deliver_(std::move(deliver)),
+        on_drained_(std::move(drained)),
+        replicas_(limits.replicas) {}
+
+  /// Waits for room. Returns false, and drops the item, when the stage was stopped.
+  bool push(ItemPtr item) {
+    {
+      std::unique_lock lock(mutex_);
+      if (!wait_for_room(lock)) return false;
+      const std::uint64_t sequence = item->sequence;
+      pending_.emplace(sequence, Entry{std::move(item)});
+    }
+    changed_.notify_all();
+    return true;
+  }
+
+  /// The same for an item that this stage has nothing to do for (it failed before): it only keeps its place.
+  bool pass(ItemPtr item) {
+    {
+      std::unique_lock lock(mutex_);
+      if (!wait_for_room(lock)) return false;
+    }
+    complete(std::move(item));
+    return true;
+  }
+
+  /// No more items will come.
+  void close() {
+    std::unique_lock lock(mutex_);
+    closed_ = true;
+    finish_if_drained(lock);
+  }
+
+  /// Drops everything; all waiting calls return.
+  void stop() {
+    {
+      const std::lock_guard lock(mutex_);
+      stopped_ = true;
+    }
+    changed_.notify_all();
+  }
+
+  /// True when stopped or drained: replicas need not be connected any more.
+  bool finished() const {
+    const std::lock_guard lock(mutex_);
+    return stopped_ || drained_;
+  }
+  bool drained() const {
+    const std::lock_guard lock(mutex_);
+    return drained_;
+  }
+
+  /// Sleeps between attempts; returns early, and true, when finished.
+  bool wait_finished(std::chrono::milliseconds time) {
+    std::unique_lock lock(mutex_);
+    return changed_.wait_for(lock, time, [this] { return stopped_ || drained_; });
+  }
+
+  /// A replica can take work from now on.
+  void connected(std::size_t replica) {
+    {
+      const std::lock_guard lock(mutex_);
+      replicas_[replica].live = true;
+    }
+    changed_.notify_all();
+  }
+
+  /// Its receiver has ended: take() returns. broke_off() follows.
+  void disconnected(std::size_t replica) {
+    {
+      const std::lock_guard lock(mutex_);
+      replicas_[replica].live = false;
+    }
+    changed_.notify_all();
+  }
+
+  std::size_t live() const {
+    const std::lock_guard lock(mutex_);
+    std::size_t count = 0;
+    for (const Replica& replica : replicas_) count += replica.live ? 1 : 0;
+    return count;
+  }
+
+  bool live(std::size_t replica) const {
+    const std::lock_guard lock(mutex_);
+    return replicas_[replica].live;
+  }
+
+  /// The next work for a replica; waits until it has room, is the one with the least in flight, and work is there.
+  /// Null when the stage is finished or the replica is not connected.
+  Work take(std::size_t replica) {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [&] {
+      return stopped_ || drained_ || !replicas_[replica].live || (!pending_.empty() && has_least(replica));
+    });
+    if (stopped_ || drained_ || !replicas_[replica].live) return nullptr;
+    auto node = pending_.extract(pending_.begin());
+    Replica& taker = replicas_[replica];
+    node.mapped().sent = Clock::now();
+    Work work = node.mapped().item->work;
+    taker.outstanding.insert(std::move(node));
+    if (!pending_.empty()) {
+      lock.unlock();
+      changed_.notify_all();
+    }
+    return work;
+  }
+
+  /// A replica answered. Null if it has no such work: the replica breaks the contract, or the answer is a late one.
+  /// On success `round_trip` has the time since the work was taken.
+  ItemPtr answered(std::size_t replica, std::uint64_t sequence, std::chrono::duration<double>& round_trip) {
+    ItemPtr item;
+    {
+      const std::lock_guard lock(mutex_);
+      Replica& from = replicas_[replica];
+      const auto found = from.outstanding.find(sequence);
+      if (found == from.outstanding.end()) return nullptr;
+      round_trip = Clock::now() - found->second.sent;
+      item = std::move(found->second.item);
+      from.outstanding.erase(found);
+    }
+    changed_.notify_all();
+    return item;
+  }
+
+  /// Hands an item on as soon as all before it were. May block in the consumer.
+  void complete(ItemPtr item) {
+    std::unique_lock lock(mutex_);
+    const std::uint64_t sequence = item->sequence;
+    ready_.emplace(sequence, std::move(item));
+    if (delivering_) return;
+    delivering_ = true;
+    while (!stopped_ && !ready_.empty() && ready_.begin()->first == next_) {
+      ItemPtr next = std::move(ready_.begin()->second);
+      ready_.erase(ready_.begin());
+      lock.unlock();
+      deliver_(std::move(next));
+      lock.lock();
+      ++next_;
+      --inside_;
+      changed_.notify_all();
+    }
+    delivering_ = false;
+    finish_if_drained(lock);
+  }
+
+  /// A replica broke off: what it had goes back, to be taken first. Returns the oldest item if it has used up its
+  /// strikes; the caller completes it with an error.
+  ItemPtr broke_off(std::size_t replica) {
+    ItemPtr given_up;
+    {
+      const std::lock_guard lock(mutex_);
+      Replica& broken = replicas_[replica];
+      broken.live = false;
+      if (!broken.outstanding.empty()) {
+        const auto oldest = broken.outstanding.begin();
+        if (++oldest->second.strikes >= limits_.strikes) {
+          given_up = std::move(oldest->second.item);
+          broken.outstanding.erase(oldest);
+        }
+      }
+      pending_.merge(broken.outstanding);
+      broken.outstanding.clear();
+    }
+    changed_.notify_all();
+    return given_up;
+  }
+
+  std::size_t inside() const {
+    const std::lock_guard lock(mutex_);
+    return inside_;
+  }
+
+ private:
+  struct Entry {
+    ItemPtr item;
+    int strikes = 0;
+    Clock::time_point sent{};
+  };
+  struct Replica {
+    bool live = false;
+    std::map<std::uint64_t, Entry> outstanding;
+  };
+
+  bool wait_for_room(std::unique_lock<std::mutex>& lock) {
+    changed_.wait(lock, [this] { return stopped_ || inside_ < limits_.replicas * limits_.window; });
+    if (stopped_) return false;
+    ++inside_;
+    return true;
+  }
+
+  bool has_least(std::size_t replica) const {
+    const std::size_t mine = replicas_[replica].outstanding.size();
+    if (mine >= limits_.window) return false;
+    for (const Replica& other : replicas_) {
+      if (other.live && other.outstanding.size() < mine) return false;
+    }
+    return true;
+  }
+
+  void finish_if_drained(std::unique_lock<std::mutex>& lock) {
+    if (!closed_ || drained_ || stopped_ || inside_ != 0) return;
+    drained_ = true;
+    lock.unlock();
+    changed_.notify_all();
+    on_drained_();
+  }
+
+  const StageLimits limits_;
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::uint64_t next_;
+  const Deliver deliver_;
+  const std::function<void()> on_drained_;
+  std::vector<Replica> replicas_;
+  std::map<std::uint64_t, Entry> pending_;
+  std::map<std::uint64_t, ItemPtr> ready_;
+  std::size_t inside_ = 0;
+  bool delivering_ = false, closed_ = false, drained_ = false, stopped_ = false;
+};
+
+}  // namespace pleat::coordinator

@@ -1,0 +1,442 @@
+#include "tests/support/fake_stages.hpp"
+
+#include <unistd.h>
+
+#include <cmath>
+#include <cstring>
+#include <stdexcept>
+#include <thread>
+#include <utility>
+
+#include "common/rpc/channel.hpp"
+#include "common/rpc/stream.hpp"
+#include "pleat/v1/conversion.grpc.pb.h"
+#include "pleat/v1/refinement.grpc.pb.h"
+#include "pleat/v1/simulation.grpc.pb.h"
+#include "pleat/v1/superres.grpc.pb.h"
+
+namespace pleat::testing {
+namespace {
+
+constexpr float kVelocityFactor = 0.01F;
+constexpr float kRefinementOffset = 0.001F;
+
+Topology from_wire(const v1::Topology& message) {
+  Topology topology;
+  topology.rest_positions =
+      Eigen::Map<const Positions>(message.rest_positions().data(), message.rest_positions_size() / 3, 3);
+  topology.faces = Eigen::Map<const Faces>(message.faces().data(), message.faces_size() / 3, 3);
+  topology.uv = Eigen::Map<const Uv>(message.uv().data(), message.uv_size() / 2, 2);
+  topology.uv_faces = Eigen::Map<const Faces>(message.uv_faces().data(), message.uv_faces_size() / 3, 3);
+  return topology;
+}
+
+template <typename Matrix>
+void set(google::protobuf::RepeatedField<float>* field, const Matrix& values) {
+  field->Assign(values.data(), values.data() + values.size());
+}
+
+void add_time(google::protobuf::RepeatedPtrField<v1::StageTime>* times, const char* stage, double ms) {
+  v1::StageTime& time = *times->Add();
+  time.set_stage(stage);
+  time.set_ms(ms);
+}
+
+/// The stream of a stage: one answer per frame, with the faults in between.
+template <typename Response, typename Request, typename Open, typename Process>
+grpc::Status serve(FakeService& fake, grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
+                   Open open, Process process) {
+  struct Count {
+    explicit Count(std::atomic<int>& count) : count_(count) { ++count_; }
+    ~Count() { --count_; }
+    std::atomic<int>& count_;
+  } const count(fake.sessions);
+  Request request;
+  if (!stream->Read(&request)) return grpc::Status::OK;
+  if (const grpc::Status refusal = fake.faults.next_open(); !refusal.ok()) return refusal;
+  ++fake.opened;
+  Response response;
+  open(request.open(), *response.mutable_opened());
+  stream->Write(response);
+  while (stream->Read(&request)) {
+    const std::uint64_t index = rpc::frame_index(request.frame());
+    std::this_thread::sleep_for(fake.faults.delay());
+    response.Clear();
+    switch (fake.faults.next(index)) {
+      case Faults::Kind::kBreak:
+        return grpc::Status(grpc::StatusCode::UNAVAILABLE, "a fault, on purpose");
+      case Faults::Kind::kHang:
+        while (!context->IsCancelled()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+        return grpc::Status(grpc::StatusCode::CANCELLED, "hung");
+      case Faults::Kind::kFrameError:
+        response.mutable_error()->set_index(index);
+        response.mutable_error()->set_code(3);
+        response.mutable_error()->set_message("a bad frame, on purpose");
+        break;
+      case Faults::Kind::kWrongIndex:
+        process(request.frame(), index + 1000, *response.mutable_frame());
+        break;
+      case Faults::Kind::kWrongSize:
+        process(request.frame(), index, *response.mutable_frame());
+        if constexpr (requires { response.mutable_frame()->mutable_fine(); }) {
+          response.mutable_frame()->mutable_fine()->mutable_positions()->Truncate(3);
+        }
+        break;
+      case Faults::Kind::kNone:
+        process(request.frame(), index, *response.mutable_frame());
+        break;
+    }
+    if (!stream->Write(response)) break;
+    ++fake.frames;
+  }
+  return grpc::Status::OK;
+}
+
+class FakeSimulation final : public FakeService, public v1::Simulation::Service {
+ public:
+  explicit FakeSimulation(std::string address) : FakeService(std::move(address)) {}
+
+  grpc::Status Simulate(grpc::ServerContext* context,
+                        grpc::ServerReaderWriter<v1::SimulateResponse, v1::SimulateRequest>* stream) override {
+    ++sessions;
+    const grpc::Status status = simulate(context, stream);
+    --sessions;
+    return status;
+  }
+
+ private:
+  grpc::Status simulate(grpc::ServerContext* context,
+                        grpc::ServerReaderWriter<v1::SimulateResponse, v1::SimulateRequest>* stream) {
+    v1::SimulateRequest request;
+    if (!stream->Read(&request)) return grpc::Status::OK;
+    if (const grpc::Status refusal = faults.next_open(); !refusal.ok()) return refusal;
+    const v1::SimulateOpen open = request.open();
+    if (open.scene().gravity_size() == 1) return {grpc::StatusCode::INVALID_ARGUMENT, "scene.gravity: 1 value, not 3"};
+    ++opened;
+    const Topology coarse = from_wire(open.scene().garment_mesh());
+    const Subdivision subdivision = subdivide(coarse, 2);
+    std::uint64_t index = 0;
+    if (open.checkpoint().size() == sizeof index) {
+      std::memcpy(&index, open.checkpoint().data(), sizeof index);
+      ++index;
+    }
+    v1::SimulateResponse response;
+    *response.mutable_opened()->mutable_coarse() = open.scene().garment_mesh();
+    for (const auto& obstacle : open.scene().obstacles()) {
+      response.mutable_opened()->add_obstacles()->set_name(obstacle.name());
+    }
+    response.mutable_opened()->set_next_index(index);
+    stream->Write(response);
+    rpc::PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(context, stream, open.window(), index);
+    for (; index < open.scene().frames(); ++index) {
+      std::this_thread::sleep_for(faults.delay());
+      response.Clear();
+      v1::SimulatedFrame& frame = *response.mutable_frame();
+      switch (faults.next(index)) {
+        case Faults::Kind::kBreak:
+          return {grpc::StatusCode::UNAVAILABLE, "a fault, on purpose"};
+        case Faults::Kind::kHang:
+          while (!writer.stopped()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+          return grpc::Status::OK;
+        case Faults::Kind::kFrameError:
+          response.mutable_error()->set_index(index);
+          response.mutable_error()->set_message("exploded, on purpose");
+          break;
+        default:
+          *frame.mutable_coarse() = fake_coarse_frame(coarse, index);
+          if (open.fine() != v1::SimulateOpen::FINE_NONE) {
+            set(frame.mutable_fine()->mutable_positions(), fake_enhanced(subdivision, coarse.faces, frame.coarse()));
+          }
+          for (const auto& obstacle : open.scene().obstacles()) {
+            v1::ObstacleFrame& sphere = *frame.add_obstacles();
+            sphere.set_name(obstacle.name());
+            for (int axis = 0; axis < 3; ++axis) sphere.add_center(0.1F * static_cast<float>(index));
+            sphere.set_radius(0.5F);
+          }
+          add_time(frame.mutable_stage_times(), "simulation", 1.5);
+          if (open.checkpoint_interval() != 0 && (index + 1) % open.checkpoint_interval() == 0) {
+            frame.set_checkpoint(&index, sizeof index);
+          }
+      }
+      if (!writer.write(index, response)) return grpc::Status::OK;
+      ++frames;
+    }
+    writer.close();
+    return grpc::Status::OK;
+  }
+
+  std::vector<grpc::Service*> services() override { return {static_cast<v1::Simulation::Service*>(this)}; }
+};
+
+class FakeConversion final : public FakeService, public v1::Conversion::Service {
+ public:
+  explicit FakeConversion(std::string address) : FakeService(std::move(address)) {}
+
+  grpc::Status ToImage(grpc::ServerContext* context,
+                       grpc::ServerReaderWriter<v1::ToImageResponse, v1::ToImageRequest>* stream) override {
+    return serve(
+        *this, context, stream, [](const v1::ToImageOpen&, v1::ConversionOpened&) {},
+        [](const v1::Frame& frame, std::uint64_t index, v1::ImageFrame& image) {
+          image.set_index(index);
+          image.set_time_s(frame.time_s());
+          auto* values = image.mutable_image()->mutable_values();
+          *values = frame.positions();
+          values->MergeFrom(frame.velocities());
+          image.mutable_image()->add_shape(static_cast<std::uint32_t>(values->size()));
+          for (int axis = 0; axis < 3; ++axis) image.mutable_alignment()->add_translation(frame.positions(0));
+          add_time(image.mutable_stage_times(), "to_image", 0.25);
+        });
+  }
+
+  grpc::Status ToMesh(grpc::ServerContext* context,
+                      grpc::ServerReaderWriter<v1::ToMeshResponse, v1::ToMeshRequest>* stream) override {
+    Topology coarse;
+    Subdivision subdivision;
+    return serve(
+        *this, context, stream,
+        [&](const v1::ToMeshOpen& open, v1::ConversionOpened& opened_message) {
+          coarse = from_wire(open.setup().coarse());
+          subdivision = subdivide(coarse, static_cast<int>(open.setup().subdivision_rounds()));
+          opened_message.mutable_fine()->set_hash(topology_hash(subdivision.fine));
+        },
+        [&](const v1::ImageFrame& image, std::uint64_t index, v1::MeshFrame& mesh) {
+          const auto& values = image.image().values();
+          const Eigen::Map<const Positions> positions(values.data(), values.size() / 3, 3);
+          mesh.mutable_fine()->set_index(index);
+          mesh.mutable_fine()->set_time_s(image.time_s());
+          // Without the frame's own alignment the mesh is displaced, and a test sees it.
+          Positions fine = upsample(subdivision, coarse.faces, positions);
+          const float lost = image.alignment().translation_size() == 3 ? 0.0F : 1.0F;
+          fine.array() += lost;
+          set(mesh.mutable_fine()->mutable_positions(), fine);
+          add_time(mesh.mutable_stage_times(), "to_mesh", 0.5);
+        });
+  }
+
+ private:
+  std::vector<grpc::Service*> services() override { return {static_cast<v1::Conversion::Service*>(this)}; }
+};
+
+class FakeSuperResolution final : public FakeService, public v1::SuperResolution::Service {
+ public:
+  explicit FakeSuperResolution(std::string address) : FakeService(std::move(address)) {}
+
+  grpc::Status DescribeModel(grpc::ServerContext*, const v1::DescribeModelRequest* request,
+                             v1::ModelDescription* description) override {
+    if (!request->model().empty() && request->model() != "fake") {
+      return {grpc::StatusCode::NOT_FOUND, "no bundle '" + request->model() + "'"};
+    }
+    describe(*description);
+    return grpc::Status::OK;
+  }
+
+  grpc::Status Upscale(grpc::ServerContext* context,
+                       grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) override {
+    return serve(
+        *this, context, stream, [](const v1::UpscaleOpen&, v1::ModelDescription& model) { describe(model); },
+        [](const v1::ImageFrame& coarse, std::uint64_t index, v1::ImageFrame& fine) {
+          fine.set_index(index);
+          fine.set_time_s(coarse.time_s());
+          const auto& values = coarse.image().values();
+          const int half = values.size() / 2;
+          for (int i = 0; i < half; ++i) {
+            fine.mutable_image()->add_values(values.Get(i) + kVelocityFactor * values.Get(half + i));
+          }
+          add_time(fine.mutable_stage_times(), "superres", 6);
+        });
+  }
+
+ private:
+  static void describe(v1::ModelDescription& model) {
+    model.set_model("fake");
+    model.set_scale(4);
+    model.set_device("cpu");
+    model.set_precision("float32");
+  }
+  std::vector<grpc::Service*> services() override { return {static_cast<v1::SuperResolution::Service*>(this)}; }
+};
+
+class FakeRefinement final : public FakeService, public v1::Refinement::Service {
+ public:
+  explicit FakeRefinement(std::string address) : FakeService(std::move(address)) {}
+
+  grpc::Status Refine(grpc::ServerContext* context,
+                      grpc::ServerReaderWriter<v1::RefineResponse, v1::RefineRequest>* stream) override {
+    return serve(
+        *this, context, stream, [](const v1::RefineOpen&, v1::RefineOpened&) {},
+        [](const v1::RefineFrame& frame, std::uint64_t index, v1::RefinedFrame& refined) {
+          *refined.mutable_fine() = frame.fine();
+          refined.mutable_fine()->set_index(index);
+          for (float& value : *refined.mutable_fine()->mutable_positions()) value += kRefinementOffset;
+          refined.mutable_report()->set_self_intersections_before(2);
+          refined.mutable_report()->set_penetrations_after(index == 3 ? 1 : 0);
+          refined.mutable_report()->set_zones(static_cast<std::uint32_t>(frame.obstacles_size()));
+          add_time(refined.mutable_stage_times(), "refinement", 4);
+        });
+  }
+
+ private:
+  std::vector<grpc::Service*> services() override { return {static_cast<v1::Refinement::Service*>(this)}; }
+};
+
+}  // namespace
+
+void Faults::at(std::uint64_t index, Kind kind, int times) {
+  const std::lock_guard lock(mutex_);
+  at_[index] = {kind, times};
+}
+
+void Faults::refuse(grpc::Status status, int times) {
+  const std::lock_guard lock(mutex_);
+  refusal_ = std::move(status);
+  refusals_ = times;
+}
+
+Faults::Kind Faults::next(std::uint64_t index) {
+  const std::lock_guard lock(mutex_);
+  const auto found = at_.find(index);
+  if (found == at_.end() || found->second.second == 0) return Kind::kNone;
+  --found->second.second;
+  return found->second.first;
+}
+
+grpc::Status Faults::next_open() {
+  const std::lock_guard lock(mutex_);
+  if (refusals_ == 0) return grpc::Status::OK;
+  --refusals_;
+  return refusal_;
+}
+
+void FakeService::start() {
+  grpc::ServerBuilder builder;
+  builder.AddListeningPort(address_, grpc::InsecureServerCredentials());
+  builder.SetMaxReceiveMessageSize(rpc::kMaxMessageBytes);
+  for (grpc::Service* service : services()) builder.RegisterService(service);
+  server_ = builder.BuildAndStart();
+  if (!server_) throw std::runtime_error("can't listen at " + address_);
+}
+
+void FakeService::stop() {
+  if (server_) server_->Shutdown(std::chrono::system_clock::now());
+  server_.reset();
+}
+
+TemporaryFolder::TemporaryFolder() {
+  std::string name = (std::filesystem::temp_directory_path() / "pleat-test-XXXXXX").string();
+  if (mkdtemp(name.data()) == nullptr) throw std::runtime_error("no temporary folder");
+  path_ = name;
+}
+
+TemporaryFolder::~TemporaryFolder() {
+  std::error_code ignored;
+  std::filesystem::remove_all(path_, ignored);
+}
+
+FakeStages::FakeStages() {
+  const std::string socket = "unix:" + folder_.path().string() + "/";
+  simulation_ = std::make_unique<FakeSimulation>(socket + "simulation");
+  conversion_ = std::make_unique<FakeConversion>(socket + "conversion");
+  superres_ = std::make_unique<FakeSuperResolution>(socket + "superres");
+  refinement_ = std::make_unique<FakeRefinement>(socket + "refinement");
+  for (FakeService* fake : all()) fake->start();
+}
+
+FakeStages::~FakeStages() {
+  for (FakeService* fake : all()) fake->stop();
+}
+
+FakeService& FakeStages::add_superres() {
+  more_.push_back(std::make_unique<FakeSuperResolution>("unix:" + folder_.path().string() + "/superres" +
+                                                        std::to_string(more_.size() + 1)));
+  more_.back()->start();
+  return *more_.back();
+}
+
+std::vector<FakeService*> FakeStages::all() {
+  std::vector<FakeService*> fakes{simulation_.get(), conversion_.get(), superres_.get(), refinement_.get()};
+  for (const auto& fake : more_) fakes.push_back(fake.get());
+  return fakes;
+}
+
+Topology sheet(int columns, int rows) {
+  Topology topology;
+  const int count = (columns + 1) * (rows + 1);
+  topology.rest_positions.resize(count, 3);
+  topology.uv.resize(count, 2);
+  for (int row = 0; row <= rows; ++row) {
+    for (int column = 0; column <= columns; ++column) {
+      const int v = row * (columns + 1) + column;
+      topology.uv.row(v) << 0.1F * static_cast<float>(column), 0.1F * static_cast<float>(row);
+      topology.rest_positions.row(v) << topology.uv(v, 0), 1.0F, -topology.uv(v, 1);
+    }
+  }
+  topology.faces.resize(2 * columns * rows, 3);
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      const auto a = static_cast<std::uint32_t>(row * (columns + 1) + column);
+      const auto b = a + 1;
+      const auto c = a + static_cast<std::uint32_t>(columns) + 1;
+      const int face = 2 * (row * columns + column);
+      topology.faces.row(face) << a, b, c + 1;
+      topology.faces.row(face + 1) << a, c + 1, c;
+    }
+  }
+  topology.uv_faces = topology.faces;
+  return topology;
+}
+
+v1::Topology to_wire(const Topology& topology) {
+  v1::Topology message;
+  set(message.mutable_rest_positions(), topology.rest_positions);
+  set(message.mutable_uv(), topology.uv);
+  message.mutable_faces()->Assign(topology.faces.data(), topology.faces.data() + topology.faces.size());
+  message.mutable_uv_faces()->Assign(topology.uv_faces.data(), topology.uv_faces.data() + topology.uv_faces.size());
+  return message;
+}
+
+v1::Scene fake_scene(std::uint32_t frames, const std::string& name) {
+  v1::Scene scene;
+  scene.set_name(name);
+  *scene.mutable_garment_mesh() = to_wire(sheet());
+  scene.set_material_json("{}");
+  scene.set_frames(frames);
+  v1::Obstacle& ball = *scene.add_obstacles();
+  ball.set_name("ball");
+  ball.mutable_sphere()->set_radius(0.5);
+  return scene;
+}
+
+v1::Frame fake_coarse_frame(const Topology& coarse, std::uint64_t index, double frame_time_s) {
+  const auto positions_at = [&](std::uint64_t k) {
+    Positions positions = coarse.rest_positions;
+    for (Eigen::Index v = 0; v < positions.rows(); ++v) {
+      const double phase = 0.3 * static_cast<double>(k) + 0.7 * static_cast<double>(v);
+      positions(v, 1) += static_cast<float>(0.05 * std::sin(phase));
+    }
+    return positions;
+  };
+  v1::Frame frame;
+  frame.set_index(index);
+  frame.set_time_s(static_cast<double>(index) * frame_time_s);
+  const Positions now = positions_at(index);
+  set(frame.mutable_positions(), now);
+  const Positions before = index == 0 ? now : positions_at(index - 1);
+  for (Eigen::Index i = 0; i < now.size(); ++i) {
+    frame.add_velocities(static_cast<float>(
+        (static_cast<double>(now.data()[i]) - static_cast<double>(before.data()[i])) / frame_time_s));
+  }
+  return frame;
+}
+
+Positions fake_enhanced(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,
+                        bool refined) {
+  Positions positions = Eigen::Map<const Positions>(coarse.positions().data(), coarse.positions_size() / 3, 3);
+  for (Eigen::Index i = 0; i < positions.size(); ++i) {
+    positions.data()[i] = positions.data()[i] + kVelocityFactor * coarse.velocities(static_cast<int>(i));
+  }
+  Positions fine = upsample(subdivision, coarse_faces, positions);
+  if (refined) fine.array() += kRefinementOffset;
+  return fine;
+}
+
+}  // namespace pleat::testing

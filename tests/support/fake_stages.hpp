@@ -1,0 +1,124 @@
+// The four services behind the coordinator as small in-process servers over Unix sockets: real streams, simple
+// arithmetic, and faults on demand.
+#pragma once
+
+#include <grpcpp/grpcpp.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "common/mesh/subdivision.hpp"
+#include "pleat/v1/common.pb.h"
+#include "pleat/v1/scene.pb.h"
+
+namespace pleat::testing {
+
+/// What a fake does wrong, by frame index. Thread-safe.
+class Faults {
+ public:
+  enum class Kind {
+    kNone,
+    kBreak,       ///< the stream ends with UNAVAILABLE instead of an answer
+    kHang,        ///< no answer until the client gives up
+    kFrameError,  ///< a FrameError
+    kWrongIndex,  ///< an answer for a frame that was not sent
+    kWrongSize,   ///< an answer with too few vertices
+  };
+
+  /// `times` times, for whoever asks for this index.
+  void at(std::uint64_t index, Kind kind, int times = 1);
+  /// Refuses this many `open` messages with the status.
+  void refuse(grpc::Status status, int times);
+  /// Every answer takes this long.
+  void delay(std::chrono::milliseconds time) { delay_ms_ = time.count(); }
+
+  Kind next(std::uint64_t index);
+  grpc::Status next_open();
+  std::chrono::milliseconds delay() const { return std::chrono::milliseconds(delay_ms_.load()); }
+
+ private:
+  std::mutex mutex_;
+  std::map<std::uint64_t, std::pair<Kind, int>> at_;
+  grpc::Status refusal_;
+  int refusals_ = 0;
+  std::atomic<std::int64_t> delay_ms_{0};
+};
+
+/// One fake service: it can be stopped and started again at its address, as after a kill.
+class FakeService {
+ public:
+  virtual ~FakeService() = default;
+
+  Faults faults;
+  std::atomic<int> sessions{0};  ///< open streams
+  std::atomic<int> frames{0};    ///< answered, by all streams
+  std::atomic<int> opened{0};    ///< streams ever opened
+
+  const std::string& address() const { return address_; }
+  void start();
+  /// Cancels every call, as if the process were gone.
+  void stop();
+
+ protected:
+  explicit FakeService(std::string address) : address_(std::move(address)) {}
+  virtual std::vector<grpc::Service*> services() = 0;
+
+ private:
+  std::string address_;
+  std::unique_ptr<grpc::Server> server_;
+};
+
+/// A folder that is removed at the end.
+class TemporaryFolder {
+ public:
+  TemporaryFolder();
+  ~TemporaryFolder();
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+/// All four, started. Numbered sockets allow for replicas.
+class FakeStages {
+ public:
+  FakeStages();
+  ~FakeStages();
+
+  FakeService& simulation() { return *simulation_; }
+  FakeService& conversion() { return *conversion_; }
+  FakeService& superres() { return *superres_; }
+  FakeService& refinement() { return *refinement_; }
+  /// One more super-resolution service, started.
+  FakeService& add_superres();
+  std::vector<FakeService*> all();
+  const std::filesystem::path& folder() const { return folder_.path(); }
+
+ private:
+  TemporaryFolder folder_;
+  std::unique_ptr<FakeService> simulation_, conversion_, superres_, refinement_;
+  std::vector<std::unique_ptr<FakeService>> more_;
+};
+
+/// A sheet of (columns + 1) x (rows + 1) vertices with material coordinates.
+Topology sheet(int columns = 4, int rows = 3);
+v1::Topology to_wire(const Topology& topology);
+/// A scene that the fake simulation understands: the sheet and one sphere.
+v1::Scene fake_scene(std::uint32_t frames, const std::string& name = "fake");
+
+/// Frame k of the fake simulation, with velocities.
+v1::Frame fake_coarse_frame(const Topology& coarse, std::uint64_t index, double frame_time_s = 0.04);
+/// What the fake stages make of a coarse frame.
+Positions fake_enhanced(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,
+                        bool refined = true);
+
+}  // namespace pleat::testing

@@ -1,0 +1,149 @@
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <thread>
+
+#include "common/base/error.hpp"
+#include "services/coordinator/job_table.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+namespace fs = std::filesystem;
+
+class JobTableTest : public ::testing::Test {
+ protected:
+  JobTableTest() {
+    std::string name = (fs::temp_directory_path() / "pleat-jobs-XXXXXX").string();
+    data_ = mkdtemp(name.data());
+  }
+  ~JobTableTest() override { fs::remove_all(data_); }
+
+  static JobRequest request(const std::string& id = "") {
+    return {.id = id, .scene_name = "draping", .frames = 10, .reference = false, .model = "", .request = "bytes\0more"};
+  }
+
+  fs::path data_;
+};
+
+void expect_code(ErrorCode code, const std::function<void()>& action) {
+  try {
+    action();
+    ADD_FAILURE() << "nothing was thrown";
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), code) << e.what();
+  }
+}
+
+TEST_F(JobTableTest, ARetriedRequestMakesOneJob) {
+  JobTable table(data_);
+  const auto [first, made] = table.create(request("a"));
+  const auto [again, made_again] = table.create(request("a"));
+  EXPECT_TRUE(made);
+  EXPECT_FALSE(made_again);
+  EXPECT_EQ(first, again);
+  JobRequest other = request("a");
+  other.request = "different";
+  expect_code(ErrorCode::kAlreadyExists, [&] { table.create(other); });
+  expect_code(ErrorCode::kInvalidArgument, [&] { table.create(request("../a")); });
+}
+
+TEST_F(JobTableTest, ChosenIdsDiffer) {
+  JobTable table(data_);
+  const std::string first = table.create(request()).first.id;
+  EXPECT_NE(first, table.create(request()).first.id);
+  EXPECT_TRUE(first.starts_with("draping-")) << first;
+}
+
+TEST_F(JobTableTest, ListsNewestFirstAndUnfinishedOldestFirst) {
+  JobTable table(data_);
+  for (const char* id : {"a", "b", "c"}) table.create(request(id));
+  table.update("b", [](JobRecord& job) { job.state = JobState::kCancelled; });
+  std::string all, unfinished;
+  for (const auto& job : table.list()) all += job.id;
+  for (const auto& job : table.unfinished()) unfinished += job.id;
+  EXPECT_EQ(all, "cba");
+  EXPECT_EQ(unfinished, "ac");
+}
+
+TEST_F(JobTableTest, ANewTableKnowsTheJobsOfTheOld) {
+  {
+    JobTable table(data_);
+    table.create(request("a"));
+    table.update("a", [](JobRecord& job) { job.state = JobState::kRunning; });
+    table.update("a", [](JobRecord& job) {
+      job.state = JobState::kFailed;
+      job.error = "why";
+      job.frames_complete = 4;
+    });
+  }
+  JobTable table(data_);
+  EXPECT_TRUE(table.warnings().empty());
+  EXPECT_EQ(table.get("a").error, "why");
+  EXPECT_EQ(table.get("a").frames_complete, 4U);
+  EXPECT_EQ(table.request("a"), request().request);
+  table.create(request("b"));
+  EXPECT_EQ(table.list().front().id, "b") << "the order goes on after a restart";
+}
+
+TEST_F(JobTableTest, ADamagedRecordIsReportedAndHurtsNoOther) {
+  {
+    JobTable table(data_);
+    table.create(request("a"));
+    table.create(request("b"));
+  }
+  std::ofstream(data_ / "jobs/a/job.json", std::ios::trunc) << "{";
+  JobTable table(data_);
+  ASSERT_EQ(table.warnings().size(), 1U);
+  EXPECT_NE(table.warnings()[0].find("jobs/a/job.json"), std::string::npos);
+  EXPECT_TRUE(table.contains("b"));
+  EXPECT_FALSE(table.contains("a"));
+}
+
+TEST_F(JobTableTest, AForbiddenChangeOfStateChangesNothing) {
+  JobTable table(data_);
+  table.create(request("a"));
+  expect_code(ErrorCode::kFailedPrecondition, [&] {
+    table.update("a", [](JobRecord& job) {
+      job.state = JobState::kDone;
+      job.error = "half";
+    });
+  });
+  EXPECT_EQ(table.get("a").state, JobState::kQueued);
+  EXPECT_TRUE(table.get("a").error.empty());
+  expect_code(ErrorCode::kNotFound, [&] { table.get("nobody"); });
+}
+
+TEST_F(JobTableTest, WaitersWakeAtAChange) {
+  JobTable table(data_);
+  table.create(request("a"));
+  const auto [record, revision] = table.wait("a", 0, std::chrono::milliseconds(0));
+  EXPECT_EQ(record.state, JobState::kQueued);
+  std::thread changer([&] { table.update("a", [](JobRecord& job) { job.frames_complete = 3; }); });
+  const auto [changed, later] = table.wait("a", revision, std::chrono::seconds(30));
+  changer.join();
+  EXPECT_EQ(changed.frames_complete, 3U);
+  EXPECT_GT(later, revision);
+}
+
+TEST_F(JobTableTest, AFolderThatIsAFileIsRefused) {
+  std::ofstream(data_ / "file") << "x";
+  expect_code(ErrorCode::kInvalidArgument, [&] { JobTable table(data_ / "file"); });
+}
+
+TEST_F(JobTableTest, ReplacedFilesAreWholeAndFailuresNameThem) {
+  replace_file(data_ / "f", "one");
+  replace_file(data_ / "f", std::string("two\0three", 9));
+  EXPECT_EQ(read_file(data_ / "f"), std::string("two\0three", 9));
+  EXPECT_EQ(read_file(data_ / "none"), std::nullopt);
+  try {
+    replace_file(data_ / "no-folder" / "f", "x");
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("no-folder/f"), std::string::npos);
+  }
+}
+
+}  // namespace
+}  // namespace pleat::coordinator
