@@ -65,33 +65,38 @@ void Bvh::refit(std::span<const Box> boxes) {
 
 // Pairs below two nodes; the same node twice means pairs inside it.
 void Bvh::collide(std::uint32_t a, std::uint32_t b, std::vector<Pair>& out) const {
-  std::vector<Pair> stack{{a, b}};
+  std::vector<Pair> stack;
+  const auto push = [&](std::uint32_t p, std::uint32_t q) {
+    if (boxes_[p].overlaps(boxes_[q])) stack.push_back({p, q});
+  };
+  if (a == b) {
+    stack.push_back({a, b});
+  } else {
+    push(a, b);
+  }
   while (!stack.empty()) {
     const auto [p, q] = stack.back();
     stack.pop_back();
+    const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
     if (p == q) {
-      if (nodes_[p].element != kInner) continue;
+      if (leaf_p) continue;
       const std::uint32_t left = p + 1, right = nodes_[p].right;
-      stack.push_back({left, right});
+      push(left, right);
       stack.push_back({right, right});
       stack.push_back({left, left});
-      continue;
-    }
-    if (!boxes_[p].overlaps(boxes_[q])) continue;
-    const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
-    if (leaf_p && leaf_q) {
+    } else if (leaf_p && leaf_q) {
       out.push_back(std::minmax(nodes_[p].element, nodes_[q].element));
     } else if (leaf_q) {
-      stack.push_back({nodes_[p].right, q});
-      stack.push_back({p + 1, q});
+      push(nodes_[p].right, q);
+      push(p + 1, q);
     } else if (leaf_p) {
-      stack.push_back({p, nodes_[q].right});
-      stack.push_back({p, q + 1});
+      push(p, nodes_[q].right);
+      push(p, q + 1);
     } else {
-      stack.push_back({nodes_[p].right, nodes_[q].right});
-      stack.push_back({nodes_[p].right, q + 1});
-      stack.push_back({p + 1, nodes_[q].right});
-      stack.push_back({p + 1, q + 1});
+      push(nodes_[p].right, nodes_[q].right);
+      push(nodes_[p].right, q + 1);
+      push(p + 1, nodes_[q].right);
+      push(p + 1, q + 1);
     }
   }
 }

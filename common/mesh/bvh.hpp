@@ -29,15 +29,27 @@ struct alignas(16) Box {
     }
   }
   void extend(const Box& other) {
-    for (int k = 0; k < 4; ++k) {
-      lower[k] = other.lower[k] < lower[k] ? other.lower[k] : lower[k];
-      upper[k] = other.upper[k] > upper[k] ? other.upper[k] : upper[k];
-    }
+    const Lanes low = lanes(lower), high = lanes(upper), other_low = lanes(other.lower),
+                other_high = lanes(other.upper);
+    const Lanes new_low = other_low < low ? other_low : low, new_high = other_high > high ? other_high : high;
+    __builtin_memcpy(lower, &new_low, sizeof(lower));
+    __builtin_memcpy(upper, &new_high, sizeof(upper));
   }
   bool overlaps(const Box& other) const {
-    int outside = 0;  // no branches: the compiler makes vector compares of it
-    for (int k = 0; k < 4; ++k) outside |= (lower[k] > other.upper[k]) | (other.lower[k] > upper[k]);
-    return outside == 0;
+    const auto outside = (lanes(lower) > lanes(other.upper)) | (lanes(other.lower) > lanes(upper));
+    using Halves = long long __attribute__((vector_size(16)));
+    Halves halves;
+    __builtin_memcpy(&halves, &outside, sizeof(halves));
+    return (halves[0] | halves[1]) == 0;
+  }
+
+ private:
+  // One register each: traversals are made of these comparisons.
+  using Lanes = float __attribute__((vector_size(16)));
+  static Lanes lanes(const float* values) {
+    Lanes v;
+    __builtin_memcpy(&v, values, sizeof(v));
+    return v;
   }
 };
 

@@ -49,14 +49,20 @@ class BlockMatrix {
     return load(block) * x[0] + load(block + 3) * x[1] + load(block + 6) * x[2];
   }
 
- private:
-  // Reads one float past the third column's end; values_ and diagonal_ are padded for the last block.
-  static Float4 load(const float* p) {
+  /// A column of a block. Reads one float past it; the arrays are padded for the last one.
+  static Float4 load(const float* column) {
     Float4 v;
-    __builtin_memcpy(&v, p, sizeof(v));
+    __builtin_memcpy(&v, column, sizeof(v));
     return v;
   }
+  /// Writes the three columns of a block, and nothing beyond it.
+  static void store(float* block, Float4 c0, Float4 c1, Float4 c2) {
+    __builtin_memcpy(block, &c0, sizeof(c0));
+    __builtin_memcpy(block + 3, &c1, sizeof(c1));
+    __builtin_memcpy(block + 6, &c2, 3 * sizeof(float));
+  }
 
+ private:
   std::vector<std::uint32_t> offsets_{0};
   std::vector<std::uint32_t> columns_;
   std::vector<float> values_;

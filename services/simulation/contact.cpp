@@ -137,6 +137,7 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
   }
   vertex_boxes_.resize(particle_count_);
   face_boxes_.resize(faces_.size());
+  find_neighbours();
 }
 
 Points ContactSystem::obstacle_particles(double time_s) const {
@@ -170,26 +171,33 @@ std::optional<Collision> ContactSystem::collide(const Pair& pair, const Points& 
   return pair.kind == Kind::kEdgeEdge ? edge_edge_ccd(from, to, options) : vertex_face_ccd(from, to, options);
 }
 
-void ContactSystem::keep_if_close(const Pair& pair, const Points& start, const Points& end,
-                                  std::vector<Pair>& out) const {
+// Keeps the pair if it may matter for the motion or at its end. Returns the distance at the end, less the minimum.
+double ContactSystem::keep_if_close(const Pair& pair, const Points& start, const Points& end,
+                                    std::vector<Pair>& out) const {
   const auto& v = pair.v;
-  const std::array<Vector3d, 4> from{start[v[0]], start[v[1]], start[v[2]], start[v[3]]};
-  const std::array<Vector3d, 4> to{end[v[0]], end[v[1]], end[v[2]], end[v[3]]};
-  const double bound = motion_bound(from, to, pair.kind == Kind::kEdgeEdge ? 2 : 1);
-  // With every vertex within slack_ of `end`, distances change by 2 slack_ and bounds by 4 slack_ at most.
-  const double reach =
-      static_cast<double>(pair.minimum) + std::max(bound + 6 * slack_ + 2 * kGap, thickness_ + 2 * slack_);
-  if (closest(pair, end).squared_distance <= reach * reach) out.push_back(pair);
+  const double clearance = std::sqrt(closest(pair, end).squared_distance) - static_cast<double>(pair.minimum);
+  bool keep = clearance <= thickness_ + 2 * slack_;
+  if (!keep) {
+    const std::array<Vector3d, 4> from{start[v[0]], start[v[1]], start[v[2]], start[v[3]]};
+    const std::array<Vector3d, 4> to{end[v[0]], end[v[1]], end[v[2]], end[v[3]]};
+    const double bound = motion_bound(from, to, pair.kind == Kind::kEdgeEdge ? 2 : 1);
+    // With every vertex within slack_ of `end`, distances change by 2 slack_ and bounds by 4 slack_ at most.
+    keep = clearance <= bound + 6 * slack_ + 2 * kGap;
+  }
+  if (keep) out.push_back(pair);
+  return clearance;
 }
 
-void ContactSystem::add_face_pair(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end,
-                                  std::vector<Pair>& out) const {
+// Calls use(pair) for the vertex-face and edge-edge pairs that two faces own, each pair of the mesh being owned by one
+// pair of faces. boxes: only those whose boxes overlap.
+template <typename Use>
+void ContactSystem::for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const {
   const auto vertices_against_face = [&](std::uint32_t owner, std::uint32_t face) {
     const auto& corners = faces_[face];
     for (const std::uint32_t v : own_vertices_[owner]) {
       if (v == kNone || v == corners[0] || v == corners[1] || v == corners[2]) continue;
-      if (!vertex_boxes_[v].overlaps(face_boxes_[face])) continue;
-      keep_if_close({{v, corners[0], corners[1], corners[2]}, Kind::kVertexFace, 0}, start, end, out);
+      if (boxes && !vertex_boxes_[v].overlaps(face_boxes_[face])) continue;
+      use(Pair{{v, corners[0], corners[1], corners[2]}, Kind::kVertexFace, 0});
     }
   };
   vertices_against_face(f, g);
@@ -199,17 +207,89 @@ void ContactSystem::add_face_pair(std::uint32_t f, std::uint32_t g, const Points
     const auto [a, b] = edges_[e];
     Box box = vertex_boxes_[a];
     box.extend(vertex_boxes_[b]);
-    if (!box.overlaps(face_boxes_[g])) continue;
+    if (boxes && !box.overlaps(face_boxes_[g])) continue;
     for (const std::uint32_t other : own_edges_[g]) {
       if (other == kNone) continue;
       const auto [c, d] = edges_[other];
       if (a == c || a == d || b == c || b == d) continue;
-      Box other_box = vertex_boxes_[c];
-      other_box.extend(vertex_boxes_[d]);
-      if (!box.overlaps(other_box)) continue;
-      keep_if_close({{a, b, c, d}, Kind::kEdgeEdge, 0}, start, end, out);
+      if (boxes) {
+        Box other_box = vertex_boxes_[c];
+        other_box.extend(vertex_boxes_[d]);
+        if (!box.overlaps(other_box)) continue;
+      }
+      use(Pair{{a, b, c, d}, Kind::kEdgeEdge, 0});
     }
   }
+}
+
+bool ContactSystem::share_vertex(std::uint32_t f, std::uint32_t g) const {
+  for (const std::uint32_t v : faces_[f]) {
+    if (v == faces_[g][0] || v == faces_[g][1] || v == faces_[g][2]) return true;
+  }
+  return false;
+}
+
+void ContactSystem::find_neighbours() {
+  std::vector<std::vector<std::uint32_t>> at_vertex(cloth_count_);
+  for (std::uint32_t f = 0; f < cloth_faces_; ++f) {
+    for (const std::uint32_t v : faces_[f]) at_vertex[v].push_back(f);
+  }
+  std::vector<std::uint32_t> near;
+  for (std::uint32_t f = 0; f < cloth_faces_; ++f) {
+    near.clear();
+    for (const std::uint32_t v : faces_[f]) {
+      for (const std::uint32_t g : at_vertex[v]) {
+        if (g > f) near.push_back(g);
+      }
+    }
+    std::sort(near.begin(), near.end());
+    near.erase(std::unique(near.begin(), near.end()), near.end());
+    for (const std::uint32_t g : near) {
+      Neighbours n{f, g, static_cast<std::uint32_t>(neighbour_pairs_.size()), 0, -1};
+      for_each_pair(f, g, false, [&](const Pair& pair) { neighbour_pairs_.push_back(pair); });
+      n.last = static_cast<std::uint32_t>(neighbour_pairs_.size());
+      if (n.last > n.first) neighbours_.push_back(n);
+    }
+  }
+  deformation_.assign(cloth_faces_, 0);
+}
+
+// Two points of faces that share a vertex can't have come closer than the deformation of the two faces since they were
+// last measured: each has moved, relative to the shared vertex, by the change of its face's edge vectors at most.
+void ContactSystem::add_neighbours(const Points& start, const Points& end, ThreadPool& pool) {
+  const bool first = pairs_end_.size() != end.size();
+  if (first) {
+    for (Neighbours& n : neighbours_) n.safe_until = -1;
+  } else {
+    pool.parallel_for(cloth_faces_, 4096, [&](std::size_t begin, std::size_t last) {
+      for (std::size_t f = begin; f < last; ++f) {
+        double most = 0;
+        for (std::size_t k = 0; k < 3; ++k) {
+          const std::uint32_t a = faces_[f][k], b = faces_[f][(k + 1) % 3];
+          const Vector3d before = pairs_end_[b] - pairs_end_[a], now = start[b] - start[a], then = end[b] - end[a];
+          most = std::max(most, (now - before).norm() + (then - now).norm());
+        }
+        deformation_[f] += most;
+      }
+    });
+  }
+  constexpr std::size_t kGrain = 8192;
+  std::vector<std::vector<Pair>> results((neighbours_.size() + kGrain - 1) / kGrain);
+  const double reach = thickness_ + 4 * slack_ + 2 * kGap;
+  pool.parallel_for(neighbours_.size(), kGrain, [&](std::size_t begin, std::size_t last) {
+    auto& out = results[begin / kGrain];
+    for (std::size_t i = begin; i < last; ++i) {
+      Neighbours& n = neighbours_[i];
+      const double deformation = deformation_[n.f] + deformation_[n.g];
+      if (deformation < n.safe_until) continue;
+      double clearance = 1e30;
+      for (std::uint32_t p = n.first; p < n.last; ++p) {
+        clearance = std::min(clearance, keep_if_close(neighbour_pairs_[p], start, end, out));
+      }
+      n.safe_until = deformation + clearance - reach;
+    }
+  });
+  for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
 }
 
 void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPool& pool) {
@@ -242,10 +322,14 @@ void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPoo
   std::vector<std::vector<Pair>> results((face_pairs.size() + kGrain - 1) / kGrain);
   pool.parallel_for(face_pairs.size(), kGrain, [&](std::size_t begin, std::size_t last) {
     auto& out = results[begin / kGrain];
-    for (std::size_t p = begin; p < last; ++p)
-      add_face_pair(face_pairs[p].first, face_pairs[p].second, start, end, out);
+    for (std::size_t p = begin; p < last; ++p) {
+      const auto [f, g] = face_pairs[p];
+      if (share_vertex(f, g)) continue;
+      for_each_pair(f, g, true, [&](const Pair& pair) { keep_if_close(pair, start, end, out); });
+    }
   });
   pairs_.clear();
+  if (scene_.contact.self_collision) add_neighbours(start, end, pool);
   for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
   for (std::size_t s = 0; s < sphere_obstacles_.size(); ++s) {
     const auto particle = static_cast<std::uint32_t>(first_sphere_ + s);

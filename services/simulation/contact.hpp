@@ -73,9 +73,12 @@ class ContactSystem {
   ClosestPoints closest(const Pair& pair, const Points& x) const;
   std::optional<Collision> collide(const Pair& pair, const Points& start, const Points& end) const;
   void find_pairs(const Points& start, const Points& end, ThreadPool& pool);
-  void add_face_pair(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end,
-                     std::vector<Pair>& out) const;
-  void keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
+  template <typename Use>
+  void for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const;
+  double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
+  void find_neighbours();
+  void add_neighbours(const Points& start, const Points& end, ThreadPool& pool);
+  bool share_vertex(std::uint32_t f, std::uint32_t g) const;
   void project(std::vector<Impact>& impacts, std::span<const double> inverse_masses, Points& end) const;
   bool move_rigidly(const std::vector<Impact>& impacts, std::span<const double> inverse_masses, const Points& start,
                     Points& end, std::uint64_t& zones) const;
@@ -95,6 +98,17 @@ class ContactSystem {
   std::vector<std::size_t> mesh_obstacles_, sphere_obstacles_;  // indices into scene.obstacles, in particle order
   double thickness_ = 0;
   double slack_ = 0;  // metres that vertices may move after find_pairs before the pairs must be found again
+
+  // Pairs of cloth faces that share a vertex are always near each other, and rarely in danger. Each remembers how far
+  // its faces may deform (deformation_ of both together) before it must be looked at again.
+  struct Neighbours {
+    std::uint32_t f, g;
+    std::uint32_t first, last;  // into neighbour_pairs_
+    double safe_until;
+  };
+  std::vector<Neighbours> neighbours_;
+  std::vector<Pair> neighbour_pairs_;
+  std::vector<double> deformation_;  // per cloth face: largest change of an edge vector, summed over find_pairs calls
 
   Bvh cloth_bvh_, obstacle_bvh_;
   std::vector<Box> vertex_boxes_, face_boxes_;

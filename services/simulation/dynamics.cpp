@@ -242,7 +242,9 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
       std::array<Eigen::Matrix3f, 3> blocks;
       stretching_stiffness(face.rest, k, strain, blocks);
       for (std::size_t b = 0; b < 3; ++b) {
-        Eigen::Map<Eigen::Matrix3f>(face_blocks_[f].data() + 9 * b) = blocks[b];
+        for (int c = 0; c < 3; ++c) {
+          face_blocks_[f][3 * b + static_cast<std::size_t>(c)] = to_float4(Vector3f(blocks[b].col(c)));
+        }
       }
       if (air && f < mass_faces_) {
         const Vector3d mean = (v[face.v[0]] + v[face.v[1]] + v[face.v[2]]) / 3;
@@ -269,32 +271,39 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
       reference_angles_[i] = theta;
       const float root = std::sqrt(hinge_curvature(hinge.rest, hinge_stiffness(hinge.rest, theta)));
       hinge_moments_[i] = -root * theta;
-      for (std::size_t k = 0; k < 4; ++k) hinge_gradients_[i][k] = root * angle.gradient[k];
+      for (std::size_t k = 0; k < 4; ++k) hinge_gradients_[i][k] = to_float4(Vector3f(root * angle.gradient[k]));
     }
   });
 
   pool.parallel_for(pairs_.size(), 4 * kElementGrain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t p = begin; p < end; ++p) {
-      Eigen::Matrix3f sum = Eigen::Matrix3f::Zero();
+      Float4 c0{}, c1{}, c2{};
       for (std::uint32_t c = contribution_offsets_[p]; c < contribution_offsets_[p + 1]; ++c) {
         const Contribution& from = contributions_[c];
         if (from.hinge) {
           const auto& g = hinge_gradients_[from.element];
-          sum.noalias() += g[from.a] * g[from.b].transpose();
+          const Float4 a = g[from.a], b = g[from.b];
+          c0 += a * b[0];
+          c1 += a * b[1];
+          c2 += a * b[2];
+        } else if ((from.a + 1) % 3 == from.b) {
+          const Float4* block = face_blocks_[from.element].data() + 3 * from.a;
+          c0 += block[0];
+          c1 += block[1];
+          c2 += block[2];
         } else {
-          const bool forward = (from.a + 1) % 3 == from.b;
-          const Eigen::Map<const Eigen::Matrix3f> block(face_blocks_[from.element].data() +
-                                                        9 * (forward ? from.a : from.b));
-          if (forward) {
-            sum += block;
-          } else {
-            sum += block.transpose();
-          }
+          const Float4* block = face_blocks_[from.element].data() + 3 * from.b;
+          c0 += Float4{block[0][0], block[1][0], block[2][0], 0};
+          c1 += Float4{block[0][1], block[1][1], block[2][1], 0};
+          c2 += Float4{block[0][2], block[1][2], block[2][2], 0};
         }
       }
-      sum *= scale;
-      Eigen::Map<Eigen::Matrix3f>(matrix_.block(matrix_.upper_slot(p))) = sum;
-      Eigen::Map<Eigen::Matrix3f>(matrix_.block(matrix_.lower_slot(p))) = sum.transpose();
+      c0 *= scale;
+      c1 *= scale;
+      c2 *= scale;
+      BlockMatrix::store(matrix_.block(matrix_.upper_slot(p)), c0, c1, c2);
+      BlockMatrix::store(matrix_.block(matrix_.lower_slot(p)), Float4{c0[0], c1[0], c2[0], 0},
+                         Float4{c0[1], c1[1], c2[1], 0}, Float4{c0[2], c1[2], c2[2], 0});
     }
   });
 
@@ -306,20 +315,23 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
       for (std::uint32_t c = face_offsets_[i]; c < face_offsets_[i + 1]; ++c) {
         force += face_forces_[face_corners_[c] >> 2][face_corners_[c] & 3];
       }
+      Float4 bending{};
       for (std::uint32_t c = hinge_offsets_[i]; c < hinge_offsets_[i + 1]; ++c) {
         const std::uint32_t hinge = hinge_corners_[c] >> 2;
-        force += hinge_moments_[hinge] * hinge_gradients_[hinge][hinge_corners_[c] & 3];
+        bending += hinge_moments_[hinge] * hinge_gradients_[hinge][hinge_corners_[c] & 3];
       }
       // K v through velocity differences: the common motion, far larger than the rest in a fall, drops out exactly.
-      Eigen::Matrix3f diagonal = Eigen::Matrix3f::Identity() * mass;
-      Vector3f stiffness_velocity = Vector3f::Zero();
+      Float4 c0{mass, 0, 0, 0}, c1{0, mass, 0, 0}, c2{0, 0, mass, 0}, stiffness_velocity{};
       for (std::uint32_t slot = matrix_.row_begin(i); slot < matrix_.row_end(i); ++slot) {
-        const Eigen::Map<const Eigen::Matrix3f> block(matrix_.block(slot));
-        diagonal -= block;
-        stiffness_velocity.noalias() += block * (v[matrix_.column(slot)] - v[i]).cast<float>();
+        const float* block = matrix_.block(slot);
+        c0 -= BlockMatrix::load(block);
+        c1 -= BlockMatrix::load(block + 3);
+        c2 -= BlockMatrix::load(block + 6);
+        const Vector3d difference = v[matrix_.column(slot)] - v[i];
+        stiffness_velocity += BlockMatrix::apply(block, to_float4(Vector3f(difference.cast<float>())));
       }
-      Eigen::Map<Eigen::Matrix3f>(matrix_.diagonal(i)) = diagonal;
-      right_side_[i] = to_float4(h * force - stiffness_velocity);
+      BlockMatrix::store(matrix_.diagonal(i), c0, c1, c2);
+      right_side_[i] = h * (to_float4(force) + bending) - stiffness_velocity;
     }
   });
 

@@ -112,10 +112,10 @@ class Dynamics {
   std::vector<std::uint32_t> face_offsets_, face_corners_, hinge_offsets_, hinge_corners_;
 
   // Per step.
-  std::vector<std::array<float, 27>> face_blocks_;               // off-diagonal stiffness blocks
-  std::vector<std::array<Eigen::Vector3f, 3>> face_forces_;      // elastic and air
-  std::vector<std::array<Eigen::Vector3f, 4>> hinge_gradients_;  // scaled by the root of the stiffness
-  std::vector<float> hinge_moments_;                             // force = moment * scaled gradient
+  std::vector<std::array<Float4, 9>> face_blocks_;           // off-diagonal stiffness blocks, by columns
+  std::vector<std::array<Eigen::Vector3f, 3>> face_forces_;  // elastic and air
+  std::vector<std::array<Float4, 4>> hinge_gradients_;       // scaled by the root of the stiffness
+  std::vector<float> hinge_moments_;                         // force = moment * scaled gradient
   std::vector<float> inverse_diagonal_;
   std::vector<Float4> right_side_, change_, residual_, direction_, product_, preconditioned_;
   std::vector<char> fixed_;
