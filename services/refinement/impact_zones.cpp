@@ -11,7 +11,7 @@ namespace {
 
 // Above this many candidate pairs a zone is tested by searches that stop at the first hit.
 constexpr std::size_t kMaxCandidates = 400'000;
-constexpr int kGrowthsOfUncleanInput = 3;
+constexpr int kGrowthsOfUncleanInput = 1;
 
 std::uint32_t root_of(std::vector<std::uint32_t>& parent, std::uint32_t i) {
   while (parent[i] != i) i = parent[i] = parent[parent[i]];

@@ -119,10 +119,12 @@ RefinedMesh Refiner::refine(const Positions& coarse, const Positions& fine, std:
     const Positions safe = upsample(s.subdivision, s.coarse_faces, coarse);
     const BlendProblem problem{&safe, &wanted, &s.field, &s.neighbourhood, s.options.bisections, coarse_clean};
     for (int round = 0; round < s.options.rounds && !now.none(); ++round) {
-      const bool all = coarse_clean && (!now.all_pairs || round + 1 == s.options.rounds);
+      const bool all = !now.all_pairs || (coarse_clean && round + 1 == s.options.rounds);
       report.zones += resolve_zones(problem, now.pairs, now.penetrations, all, result.positions, s.fine_finder);
       ++report.rounds;
+      const std::size_t earlier = now.count();
       now = find_offences(result.positions, s.field, s.fine_finder);
+      if (!coarse_clean && now.count() >= earlier) break;
     }
     if (now.count() > before.count()) {
       result.positions = fine;

@@ -2,6 +2,7 @@
 // pairs, decided by CGAL with exact predicates, and obstacles by winding numbers and sampled distances.
 #pragma once
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
