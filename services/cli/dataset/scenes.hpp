@@ -1,0 +1,40 @@
+// The scenes of the built-in data sets ([MFSR] section 6), and their JSON.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "services/simulation/scene.hpp"
+
+namespace pleat::dataset {
+
+/// A sequence to be: its scene, and the split that it belongs to.
+struct SequencePlan {
+  std::string name;
+  std::string split;  ///< "train" or "test"
+  simulation::Scene scene;
+  std::string scene_json;  ///< the same as pleat.v1.Scene in protobuf's JSON form
+};
+
+struct SceneOptions {
+  std::string set = "draping";  ///< draping or hitting
+  int train = 10;               ///< sequences for training
+  int test = 3;                 ///< sequences for testing
+  int frames = 150;             ///< per sequence, the initial state included
+  std::uint64_t seed = 1;
+  std::filesystem::path garment;   ///< OBJ with material coordinates
+  std::filesystem::path material;  ///< ARCSim-format JSON
+};
+
+/// DRAPING: one vertex of the cloth's upper edge is held; the cloth starts tilted by a random rotation, falls and
+/// swings. No two sequences hold the same vertex. HITTING: two corners of the upper edge are held, and a sphere of
+/// random size swings through the hanging cloth from a random side. Deterministic for a seed.
+/// Throws kInvalidArgument (unknown set, counts), and what reading the files throws.
+std::vector<SequencePlan> plan_sequences(const SceneOptions& options);
+
+/// The scene as a file beside deploy/scenes/*.json would have it. Only what plan_sequences sets.
+std::string scene_to_json(const simulation::Scene& scene, const std::filesystem::path& garment,
+                          const std::filesystem::path& material);
+
+}  // namespace pleat::dataset
