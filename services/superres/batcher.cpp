@@ -54,7 +54,6 @@ struct Batcher::State {
     const Tensor& first = batch.front().image;
     std::vector<std::vector<float>> results;
     try {
-      if (first.shape.size() != 3) throw_invalid_argument("coarse image: needs shape (9, h, w)");
       results = engine->upscale(images, static_cast<int>(first.shape[1]), static_cast<int>(first.shape[2]));
     } catch (const std::exception&) {
       // One bad image must not spoil the others: each gets its own answer or error.
@@ -95,6 +94,9 @@ Batcher::~Batcher() {
 }
 
 std::future<Tensor> Batcher::submit(Tensor image) {
+  if (image.shape.size() != 3 || image.shape[0] != kChannels || image.channels != state_->engine->describe().channels) {
+    throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
+  }
   State::Request request{std::move(image), {}};
   auto future = request.answer.get_future();
   {

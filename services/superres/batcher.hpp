@@ -27,7 +27,8 @@ class Batcher {
   Batcher& operator=(const Batcher&) = delete;
 
   /// Queues a coarse image (9, h, w); the future holds the fine one or the error of its inference. Throws
-  /// kResourceExhausted if the queue is full. A faulty image spoils only its own answer.
+  /// kResourceExhausted if the queue is full, kInvalidArgument for other channels. A faulty image spoils only its own
+  /// answer.
   std::future<Tensor> submit(Tensor image);
 
   /// A session counts until the returned token dies.

@@ -1,0 +1,138 @@
+#include "services/superres/service.hpp"
+
+#include <algorithm>
+
+#include "common/base/error.hpp"
+#include "common/frame/messages.hpp"
+#include "common/rpc/status.hpp"
+#include "common/rpc/stream.hpp"
+#include "common/telemetry/log.hpp"
+
+namespace pleat::superres {
+namespace {
+
+/// Frames of one stream in work at once: one is being answered while the next is read and checked.
+constexpr std::size_t kConcurrency = 2;
+
+void keep_displacement(Tensor& image) {
+  image.values.resize(image.values.size() / kChannels * 3);
+  image.channels.resize(3);
+  image.shape[0] = 3;
+}
+
+std::string without_extension(const std::string& name) {
+  return name.size() > 3 && name.ends_with(".pt") ? name.substr(0, name.size() - 3) : name;
+}
+
+}  // namespace
+
+SuperResolutionService::SuperResolutionService(const ServiceOptions& options, telemetry::Metrics& metrics)
+    : options_(options), metrics_(metrics) {
+  precision_from_string(options.precision);
+  if (!options_.model.empty()) batcher("");
+}
+
+std::shared_ptr<Batcher> SuperResolutionService::batcher(const std::string& requested) {
+  const std::string name = without_extension(requested.empty() ? options_.model : requested);
+  if (name.empty()) throw_invalid_argument("no model named, and this service has no default one");
+  const std::lock_guard lock(mutex_);
+  if (const auto it = batchers_.find(name); it != batchers_.end()) return it->second;
+  if (batchers_.size() >= static_cast<std::size_t>(std::max(1, options_.loaded_models))) {
+    const auto unused = std::find_if(batchers_.begin(), batchers_.end(),
+                                     [](const auto& entry) { return entry.second.use_count() == 1; });
+    if (unused == batchers_.end()) {
+      throw Error(ErrorCode::kResourceExhausted,
+                  "model '" + name + "': " + std::to_string(batchers_.size()) + " other models are in use");
+    }
+    batchers_.erase(unused);
+  }
+  EngineOptions engine;
+  engine.folder = options_.models;
+  engine.precision = precision_from_string(options_.precision);
+  engine.threads = options_.threads;
+  engine.use_cuda = options_.cuda;
+  engine.largest_batch = options_.largest_batch;
+  BatcherOptions batching;
+  batching.largest_batch = options_.largest_batch;
+  batching.latency = std::chrono::microseconds(static_cast<std::int64_t>(1000 * options_.batch_latency_ms));
+  const telemetry::StageTimer timer;
+  auto loaded = std::make_shared<Engine>(engine, name);
+  const EngineStatus& status = loaded->status();
+  spdlog::info("model {}: {} parameters, {} on {} ({}, {} threads), ready after {:.0f} ms", name,
+               loaded->describe().parameters, status.precision, status.device, status.processor, status.threads,
+               timer.milliseconds());
+  return batchers_.emplace(name, std::make_shared<Batcher>(std::move(loaded), batching)).first->second;
+}
+
+void SuperResolutionService::describe(const std::string& name, const Metadata& metadata,
+                                      v1::ModelDescription* message) {
+  message->set_model(name);
+  message->set_architecture(metadata.kind);
+  message->set_parameters(static_cast<std::uint64_t>(std::max<std::int64_t>(0, metadata.parameters)));
+  message->set_scale(static_cast<std::uint32_t>(metadata.scale));
+  for (const auto& channel : metadata.channels) message->add_channels(channel);
+  for (std::size_t c = 0; c < kChannels; ++c) {
+    message->mutable_normalization()->add_minimum(metadata.normalization.minimum[c]);
+    message->mutable_normalization()->add_maximum(metadata.normalization.maximum[c]);
+  }
+  message->set_coarse_width(static_cast<std::uint32_t>(metadata.coarse_width));
+  message->set_coarse_height(static_cast<std::uint32_t>(metadata.coarse_height));
+  message->set_topology_hash(metadata.topology_hash);
+  message->set_git_revision(metadata.git_revision);
+  message->set_metadata_json(to_json(metadata));
+  const std::lock_guard lock(mutex_);
+  if (const auto it = batchers_.find(name); it != batchers_.end()) {
+    message->set_device(it->second->engine().status().device);
+    message->set_precision(it->second->engine().status().precision);
+  }
+}
+
+grpc::Status SuperResolutionService::ListModels(grpc::ServerContext*, const v1::ListModelsRequest*,
+                                                v1::ListModelsResponse* response) {
+  return rpc::guard([&] {
+    for (const std::string& name : list_bundles(options_.models)) {
+      try {
+        describe(name, read_metadata(options_.models, name), response->add_models());
+      } catch (const Error& error) {
+        // One damaged file must not hide the others.
+        response->mutable_models()->RemoveLast();
+        spdlog::warn("{}", error.what());
+      }
+    }
+  });
+}
+
+grpc::Status SuperResolutionService::DescribeModel(grpc::ServerContext*, const v1::DescribeModelRequest* request,
+                                                   v1::ModelDescription* response) {
+  return rpc::guard([&] {
+    const auto loaded = batcher(request->model());
+    const std::string name = without_extension(request->model().empty() ? options_.model : request->model());
+    describe(name, loaded->engine().describe(), response);
+  });
+}
+
+grpc::Status SuperResolutionService::Upscale(
+    grpc::ServerContext* context, grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) {
+  const rpc::FrameServiceOptions options{"superres", &metrics_, kConcurrency};
+  return rpc::serve_frames<v1::UpscaleRequest, v1::UpscaleResponse>(
+      context, stream, options, [&](const v1::UpscaleOpen& open, v1::ModelDescription* opened) {
+        auto loaded = batcher(open.model());
+        if (!open.topology_hash().empty()) loaded->engine().require_topology(open.topology_hash());
+        describe(without_extension(open.model().empty() ? options_.model : open.model()), loaded->engine().describe(),
+                 opened);
+        auto session = loaded->open_session();
+        return [loaded, session, displacement_only = open.displacement_only()](const v1::ImageFrame& request,
+                                                                               v1::ImageFrame* response) {
+          Tensor image = loaded->submit(from_message(request.image(), "frame.image")).get();
+          if (displacement_only) keep_displacement(image);
+          response->set_index(request.index());
+          response->set_time_s(request.time_s());
+          *response->mutable_alignment() = request.alignment();
+          *response->mutable_stage_times() = request.stage_times();
+          response->set_out_of_range(request.out_of_range());
+          to_message(image, response->mutable_image());
+        };
+      });
+}
+
+}  // namespace pleat::superres

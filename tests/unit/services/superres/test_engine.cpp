@@ -1,0 +1,271 @@
+// Bundles and inference: what is written runs, what is damaged or foreign is refused with its cause.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <thread>
+
+#include "common/base/error.hpp"
+#include "services/superres/batcher.hpp"
+#include "services/superres/bundle.hpp"
+#include "services/superres/engine.hpp"
+#include "services/superres/network.hpp"
+
+namespace pleat::superres {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+class EngineTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    const auto* info = testing::UnitTest::GetInstance()->current_test_info();
+    root_ = fs::temp_directory_path() / (std::string("pleat_engine_") + info->name() + std::to_string(::getpid()));
+    fs::create_directories(root_ / "models");
+  }
+  void TearDown() override { fs::remove_all(root_); }
+
+  std::string folder() const { return (root_ / "models").string(); }
+  std::string file(const std::string& name) const { return folder() + "/" + name + ".pt"; }
+
+  static Metadata metadata(const std::string& name) {
+    Metadata m;
+    m.name = name;
+    m.architecture = {1, 2, 4, 8, "subpixel", true, true};
+    m.normalization.minimum.fill(-1);
+    m.normalization.maximum.fill(1);
+    m.coarse_width = 6, m.coarse_height = 5, m.fine_width = 24, m.fine_height = 20;
+    m.topology_hash = "00000000000000aa";
+    m.float32_parameters = Network::float32_parameters();
+    return m;
+  }
+
+  static Network network() {
+    Network network({1, 2, 4, 8, "subpixel", true, true}, 9);
+    const torch::NoGradGuard no_grad;
+    for (auto [name, value] : network.parameters()) {
+      if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.1, 0.1, value.numel()).view(value.sizes()));
+    }
+    return network;
+  }
+
+  void write(const std::string& name) const { save_bundle(network().to_script(), metadata(name), file(name)); }
+
+  /// A module made by somebody else, without float32_parameters.
+  void write_foreign(const std::string& name, const std::string& source) const {
+    torch::jit::Module module("Foreign");
+    module.define(source);
+    Metadata m = metadata(name);
+    m.kind = "foreign";
+    m.float32_parameters.clear();
+    save_bundle(module, m, file(name));
+  }
+
+  EngineOptions options(Precision precision = Precision::kFloat32) const {
+    EngineOptions o;
+    o.folder = folder();
+    o.precision = precision;
+    o.threads = 1;
+    o.use_cuda = false;
+    o.largest_batch = 2;
+    o.warm_up = 1;
+    return o;
+  }
+
+  static Tensor image(int height, int width, float phase = 0) {
+    Tensor t{{kChannels, height, width}, channel_names(), {}};
+    for (int i = 0; i < kChannels * height * width; ++i) {
+      t.values.push_back(0.5F + 0.4F * std::sin(phase + 0.3F * static_cast<float>(i)));
+    }
+    return t;
+  }
+
+  template <typename Body>
+  static Error error_of(Body body) {
+    try {
+      body();
+    } catch (const Error& error) {
+      return error;
+    }
+    return Error(ErrorCode::kInternal, "no error");
+  }
+
+  fs::path root_;
+};
+
+double worst_difference(const std::vector<float>& a, const std::vector<float>& b) {
+  EXPECT_EQ(a.size(), b.size());
+  double worst = 0;
+  for (std::size_t i = 0; i < std::min(a.size(), b.size()); ++i) {
+    worst = std::max(worst, static_cast<double>(std::abs(a[i] - b[i])));
+  }
+  return worst;
+}
+
+TEST_F(EngineTest, RunsWhatWasWritten) {
+  write("small");
+  Engine engine(options(), "small");
+  EXPECT_EQ(engine.status().precision, "float32");
+  EXPECT_EQ(engine.status().device, "cpu");
+  EXPECT_EQ(engine.describe().topology_hash, "00000000000000aa");
+  for (const auto& [h, w] : {std::pair{5, 6}, std::pair{8, 7}}) {
+    const Tensor input = image(h, w);
+    const Tensor output = engine.upscale(input);
+    EXPECT_EQ(output.shape, (std::vector<std::int64_t>{9, 4 * h, 4 * w}));
+    EXPECT_EQ(output.channels, channel_names());
+    const auto expected =
+        network().forward(torch::tensor(input.values).view({1, kChannels, h, w})).detach().contiguous();
+    EXPECT_LT(
+        worst_difference(output.values, {expected.data_ptr<float>(), expected.data_ptr<float>() + expected.numel()}),
+        1e-5);
+  }
+}
+
+TEST_F(EngineTest, BatchEqualsSingleImages) {
+  write("small");
+  Engine engine(options(), "small");
+  const Tensor a = image(5, 6), b = image(5, 6, 2);
+  const std::span<const float> both[] = {a.values, b.values};
+  const auto results = engine.upscale(both, 5, 6);
+  ASSERT_EQ(results.size(), 2U);
+  EXPECT_LT(worst_difference(results[0], engine.upscale(a).values), 1e-6);
+  EXPECT_LT(worst_difference(results[1], engine.upscale(b).values), 1e-6);
+}
+
+TEST_F(EngineTest, Bfloat16OnlyWhereTheProcessorAndTheBundleHaveIt) {
+  write("small");
+  write_foreign("foreign",
+                "def forward(self, x):\n  return torch.upsample_nearest2d(x, [x.size(2) * 4, x.size(3) * 4])\n");
+  EXPECT_EQ(Engine(options(Precision::kAuto), "foreign").status().precision, "float32");
+  EXPECT_EQ(error_of([&] { Engine(options(Precision::kBfloat16), "foreign"); }).code(), ErrorCode::kFailedPrecondition);
+  if (processor_has_bfloat16()) {
+    Engine engine(options(Precision::kAuto), "small");
+    EXPECT_EQ(engine.status().precision, "bfloat16");
+    EXPECT_LT(
+        worst_difference(engine.upscale(image(5, 6)).values, Engine(options(), "small").upscale(image(5, 6)).values),
+        5e-3);
+  } else {
+    EXPECT_EQ(Engine(options(Precision::kAuto), "small").status().precision, "float32");
+    EXPECT_EQ(error_of([&] { Engine(options(Precision::kBfloat16), "small"); }).code(), ErrorCode::kFailedPrecondition);
+  }
+}
+
+TEST_F(EngineTest, ForeignModulesRunAndBadOnesAreRefused) {
+  write_foreign("good",
+                "def forward(self, x):\n  return torch.upsample_nearest2d(x, [x.size(2) * 4, x.size(3) * 4])\n");
+  const Tensor input = image(3, 4);
+  EXPECT_FLOAT_EQ(Engine(options(), "good").upscale(input).values[0], input.values[0]);
+  write_foreign("shape", "def forward(self, x):\n  return x\n");
+  EXPECT_THAT(error_of([&] { Engine(options(), "shape"); }).what(), HasSubstr("another shape"));
+  write_foreign("nan",
+                "def forward(self, x):\n  y = torch.upsample_nearest2d(x, [x.size(2) * 4, x.size(3) * 4])\n"
+                "  return y / (y - y)\n");
+  EXPECT_EQ(error_of([&] { Engine(options(), "nan"); }).code(), ErrorCode::kDataLoss);
+}
+
+TEST_F(EngineTest, NamesDoNotLeaveTheFolder) {
+  write("small");
+  fs::copy_file(file("small"), root_ / "outside.pt");
+  fs::create_symlink(root_ / "outside.pt", fs::path(folder()) / "link.pt");
+  for (const std::string name : {"../outside", "..", "", "/etc/passwd", "a/b", "..\\outside", "link"}) {
+    EXPECT_EQ(error_of([&] { bundle_path(folder(), name); }).code(), ErrorCode::kInvalidArgument) << name;
+  }
+  EXPECT_EQ(error_of([&] { bundle_path(folder(), std::string("small\0.pt", 9)); }).code(), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(error_of([&] { bundle_path(folder(), "absent"); }).code(), ErrorCode::kNotFound);
+  EXPECT_EQ(error_of([&] { bundle_path(folder() + "/absent", "small"); }).code(), ErrorCode::kNotFound);
+  EXPECT_EQ(bundle_path(folder(), "small"), bundle_path(folder(), "small.pt"));
+  EXPECT_EQ(list_bundles(folder()), (std::vector<std::string>{"link", "small"}));
+}
+
+TEST_F(EngineTest, DamagedBundlesAreDataLoss) {
+  write("small");
+  const auto size = fs::file_size(file("small"));
+  for (const std::uintmax_t kept : {std::uintmax_t{0}, std::uintmax_t{10}, size / 2, size - 1}) {
+    fs::copy_file(file("small"), file("cut"), fs::copy_options::overwrite_existing);
+    fs::resize_file(file("cut"), kept);
+    const Error error = error_of([&] { Engine(options(), "cut"); });
+    EXPECT_EQ(error.code(), ErrorCode::kDataLoss) << kept << ": " << error.what();
+    EXPECT_THAT(error.what(), HasSubstr("cut.pt"));
+  }
+  std::ofstream(file("text")) << "no archive at all";
+  EXPECT_EQ(error_of([&] { read_metadata(folder(), "text"); }).code(), ErrorCode::kDataLoss);
+}
+
+TEST_F(EngineTest, ScriptWithoutMetadataIsNoBundle) {
+  network().to_script().save(file("bare"));
+  const Error error = error_of([&] { read_metadata(folder(), "bare"); });
+  EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
+  EXPECT_THAT(error.what(), HasSubstr("pleat.json"));
+}
+
+TEST_F(EngineTest, OtherMeshIsRefused) {
+  write("small");
+  Engine engine(options(), "small");
+  engine.require_topology("00000000000000aa");
+  const Error error = error_of([&] { engine.require_topology("00000000000000bb"); });
+  EXPECT_EQ(error.code(), ErrorCode::kFailedPrecondition);
+  EXPECT_THAT(error.what(), HasSubstr("00000000000000bb"));
+}
+
+TEST_F(EngineTest, BadImagesAreRefused) {
+  write("small");
+  Engine engine(options(), "small");
+  Tensor wrong = image(5, 6);
+  wrong.values.pop_back();
+  EXPECT_EQ(error_of([&] { engine.upscale(wrong); }).code(), ErrorCode::kInvalidArgument);
+  wrong = image(5, 6);
+  wrong.values[7] = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_THAT(error_of([&] { engine.upscale(wrong); }).what(), HasSubstr("finite"));
+  wrong = image(5, 6);
+  wrong.shape = {9, 0, 6};
+  EXPECT_EQ(error_of([&] { engine.upscale(wrong); }).code(), ErrorCode::kInvalidArgument);
+  wrong = image(5, 6);
+  std::swap(wrong.channels[0], wrong.channels[1]);
+  EXPECT_EQ(error_of([&] { engine.upscale(wrong); }).code(), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(engine.upscale(image(5, 6)).values.size(), 9U * 20 * 24);
+}
+
+TEST_F(EngineTest, BatcherAnswersManySessionsAndSparesTheInnocent) {
+  write("small");
+  auto engine = std::make_shared<Engine>(options(), "small");
+  BatcherOptions batching;
+  batching.largest_batch = 3;
+  batching.latency = std::chrono::milliseconds(20);
+  Batcher batcher(engine, batching);
+  std::vector<std::thread> sessions;
+  std::vector<double> worst(4, 1);
+  for (std::size_t s = 0; s < worst.size(); ++s) {
+    sessions.emplace_back([&, s] {
+      const auto token = batcher.open_session();
+      double difference = 0;
+      for (int frame = 0; frame < 5; ++frame) {
+        Tensor input = image(5, 6, static_cast<float>(10 * s) + static_cast<float>(frame));
+        const auto expected = engine->upscale(input).values;
+        difference = std::max(difference, worst_difference(batcher.submit(std::move(input)).get().values, expected));
+      }
+      worst[s] = difference;
+    });
+  }
+  for (auto& session : sessions) session.join();
+  for (const double w : worst) EXPECT_LT(w, 1e-6);
+
+  const auto a = batcher.open_session(), b = batcher.open_session();
+  Tensor bad = image(5, 6);
+  bad.values[0] = std::numeric_limits<float>::infinity();
+  auto good_answer = batcher.submit(image(5, 6));
+  auto bad_answer = batcher.submit(std::move(bad));
+  EXPECT_EQ(good_answer.get().values.size(), 9U * 20 * 24);
+  EXPECT_EQ(error_of([&] { bad_answer.get(); }).code(), ErrorCode::kInvalidArgument);
+}
+
+TEST_F(EngineTest, PrecisionNames) {
+  for (const Precision p : {Precision::kAuto, Precision::kFloat32, Precision::kBfloat16}) {
+    EXPECT_EQ(precision_from_string(to_string(p)), p);
+  }
+  EXPECT_THAT(error_of([] { precision_from_string("int8"); }).what(), HasSubstr("int8"));
+}
+
+}  // namespace
+}  // namespace pleat::superres

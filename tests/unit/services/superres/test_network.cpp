@@ -1,0 +1,301 @@
+// The network against plain loops that share nothing with it but the weights, and its TorchScript twin.
+#include <gtest/gtest.h>
+#include <torch/script.h>
+
+#include <cmath>
+#include <map>
+
+#include "common/base/error.hpp"
+#include "services/superres/network.hpp"
+
+namespace pleat::superres {
+namespace {
+
+/// A stack of planes in double.
+struct Image {
+  int channels, height, width;
+  std::vector<double> values;
+  Image(int c, int h, int w) : channels(c), height(h), width(w), values(static_cast<std::size_t>(c * h * w)) {}
+  double& at(int c, int y, int x) { return values[static_cast<std::size_t>((c * height + y) * width + x)]; }
+  double at(int c, int y, int x) const { return values[static_cast<std::size_t>((c * height + y) * width + x)]; }
+};
+
+Image from_tensor(const torch::Tensor& t) {
+  Image image(static_cast<int>(t.size(1)), static_cast<int>(t.size(2)), static_cast<int>(t.size(3)));
+  const auto flat = t.detach().contiguous().view({-1});
+  for (std::size_t i = 0; i < image.values.size(); ++i)
+    image.values[i] = flat[static_cast<std::int64_t>(i)].item<double>();
+  return image;
+}
+
+class Plain {
+ public:
+  explicit Plain(const Network& network) : a_(network.architecture()) {
+    for (const auto& [name, value] : network.parameters()) {
+      const auto flat = value.detach().contiguous().view({-1});
+      auto& target = values_[name];
+      for (std::int64_t i = 0; i < flat.numel(); ++i) target.push_back(flat[i].item<double>());
+      outputs_[name] = static_cast<int>(value.size(0));
+    }
+    for (const auto& [name, value] : network.buffers()) {
+      for (std::int64_t c = 0; c < kChannels; ++c) values_[name].push_back(value.view({-1})[c].item<double>());
+    }
+  }
+
+  Image forward(const Image& x) const {
+    const Image input = a_.conditioned ? condition(x) : x;
+    const Image shallow = convolve(input, "shallow0", 3);
+    Image features = convolve(shallow, "shallow1", 3);
+    std::vector<Image> blocks;
+    for (int d = 0; d < a_.blocks; ++d) {
+      const std::string block = "block" + std::to_string(d);
+      Image stack = features;
+      for (int c = 0; c < a_.layers; ++c) {
+        Image layer = convolve(stack, block + "_dense" + std::to_string(c), 3);
+        for (double& v : layer.values) v = std::max(v, 0.0);
+        stack = join({stack, layer});
+      }
+      features = add(convolve(stack, block + "_fusion", 1), features);
+      blocks.push_back(features);
+    }
+    features = add(convolve(convolve(join(blocks), "global0", 1), "global1", 3), shallow);
+    if (a_.upsampling == "bilinear") features = upsample(features);
+    Image out = join({convolve(features, "head_displacement", 3), convolve(features, "head_normal", 3),
+                      convolve(features, "head_velocity", 3)});
+    if (a_.upsampling == "subpixel") out = shuffle(out);
+    if (a_.conditioned) {
+      for (int c = 0; c < kChannels; ++c) {
+        for (int y = 0; y < out.height; ++y) {
+          for (int x2 = 0; x2 < out.width; ++x2) out.at(c, y, x2) *= value("output_deviation", c);
+        }
+      }
+    }
+    return a_.residual ? add(out, upsample(x)) : out;
+  }
+
+ private:
+  double value(const std::string& name, int i) const { return values_.at(name)[static_cast<std::size_t>(i)]; }
+
+  Image convolve(const Image& x, const std::string& name, int kernel) const {
+    const int out_channels = outputs_.at(name + "_weight"), half = kernel / 2;
+    Image out(out_channels, x.height, x.width);
+    for (int o = 0; o < out_channels; ++o) {
+      for (int y = 0; y < x.height; ++y) {
+        for (int column = 0; column < x.width; ++column) {
+          double sum = value(name + "_bias", o);
+          for (int i = 0; i < x.channels; ++i) {
+            for (int dy = -half; dy <= half; ++dy) {
+              for (int dx = -half; dx <= half; ++dx) {
+                const int yy = y + dy, xx = column + dx;
+                if (yy < 0 || xx < 0 || yy >= x.height || xx >= x.width) continue;
+                sum += x.at(i, yy, xx) *
+                       value(name + "_weight", ((o * x.channels + i) * kernel + dy + half) * kernel + dx + half);
+              }
+            }
+          }
+          out.at(o, y, column) = sum;
+        }
+      }
+    }
+    return out;
+  }
+
+  static Image join(const std::vector<Image>& parts) {
+    int channels = 0;
+    for (const Image& part : parts) channels += part.channels;
+    Image out(channels, parts[0].height, parts[0].width);
+    out.values.clear();
+    for (const Image& part : parts) out.values.insert(out.values.end(), part.values.begin(), part.values.end());
+    return out;
+  }
+
+  static Image add(Image a, const Image& b) {
+    for (std::size_t i = 0; i < a.values.size(); ++i) a.values[i] += b.values[i];
+    return a;
+  }
+
+  /// Fine texel centre i lies at coarse coordinate (i + 0.5) / 4 - 0.5; values beyond the outermost centres repeat
+  /// them.
+  static Image upsample(const Image& x) {
+    Image out(x.channels, 4 * x.height, 4 * x.width);
+    const auto place = [](int i, int size, int& low, int& high, double& t) {
+      const double position = std::max(0.0, (i + 0.5) / 4 - 0.5);
+      low = static_cast<int>(position);
+      high = std::min(low + 1, size - 1);
+      t = position - low;
+    };
+    for (int y = 0; y < out.height; ++y) {
+      for (int column = 0; column < out.width; ++column) {
+        int y0, y1, x0, x1;
+        double ty, tx;
+        place(y, x.height, y0, y1, ty);
+        place(column, x.width, x0, x1, tx);
+        for (int c = 0; c < x.channels; ++c) {
+          out.at(c, y, column) = (1 - ty) * ((1 - tx) * x.at(c, y0, x0) + tx * x.at(c, y0, x1)) +
+                                 ty * ((1 - tx) * x.at(c, y1, x0) + tx * x.at(c, y1, x1));
+        }
+      }
+    }
+    return out;
+  }
+
+  static Image shuffle(const Image& x) {
+    Image out(x.channels / 16, 4 * x.height, 4 * x.width);
+    for (int c = 0; c < out.channels; ++c) {
+      for (int y = 0; y < out.height; ++y) {
+        for (int column = 0; column < out.width; ++column) {
+          out.at(c, y, column) = x.at(16 * c + 4 * (y % 4) + column % 4, y / 4, column / 4);
+        }
+      }
+    }
+    return out;
+  }
+
+  Image condition(const Image& x) const {
+    Image out(2 * kChannels, x.height, x.width);
+    for (int c = 0; c < kChannels; ++c) {
+      for (int y = 0; y < x.height; ++y) {
+        for (int column = 0; column < x.width; ++column) {
+          double sum = 0;
+          int count = 0;
+          for (int yy = std::max(0, y - 3); yy <= std::min(x.height - 1, y + 3); ++yy) {
+            for (int xx = std::max(0, column - 3); xx <= std::min(x.width - 1, column + 3); ++xx) {
+              sum += x.at(c, yy, xx), ++count;
+            }
+          }
+          const double v = x.at(c, y, column);
+          out.at(c, y, column) = (v - value("input_mean", c)) / value("input_deviation", c);
+          out.at(kChannels + c, y, column) = (v - sum / count) / value("detail_deviation", c);
+        }
+      }
+    }
+    return out;
+  }
+
+  Architecture a_;
+  std::map<std::string, std::vector<double>> values_;
+  std::map<std::string, int> outputs_;
+};
+
+Architecture small(const std::string& upsampling, bool residual, bool conditioned) {
+  return {2, 3, 4, 6, upsampling, residual, conditioned};
+}
+
+Network make(const Architecture& architecture) {
+  Network network(architecture, 5);
+  if (architecture.conditioned) {
+    Conditioning conditioning;
+    for (int c = 0; c < kChannels; ++c) {
+      const auto v = static_cast<float>(c);
+      conditioning.input_mean.push_back(0.4F + 0.01F * v);
+      conditioning.input_deviation.push_back(0.5F + 0.1F * v);
+      conditioning.detail_deviation.push_back(0.2F + 0.1F * v);
+      conditioning.output_deviation.push_back(0.3F + 0.1F * v);
+    }
+    network.set_conditioning(conditioning);
+  }
+  // Heads of a residual network begin at zero: give them values, or they would hide everything before them.
+  const torch::NoGradGuard no_grad;
+  for (auto [name, value] : network.parameters()) {
+    if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.2, 0.3, value.numel()).view(value.sizes()));
+  }
+  return network;
+}
+
+torch::Tensor example_input(std::int64_t batch, std::int64_t height, std::int64_t width) {
+  const auto ramp = torch::arange(batch * kChannels * height * width, torch::kFloat32);
+  return (0.5 + 0.45 * torch::sin(ramp * 0.37)).view({batch, kChannels, height, width});
+}
+
+class NetworkVariants : public testing::TestWithParam<std::tuple<const char*, bool, bool>> {
+ protected:
+  Architecture architecture() const {
+    return small(std::get<0>(GetParam()), std::get<1>(GetParam()), std::get<2>(GetParam()));
+  }
+};
+
+TEST_P(NetworkVariants, AgreesWithPlainLoops) {
+  const Network network = make(architecture());
+  const auto x = example_input(1, 7, 9);
+  const Image expected = Plain(network).forward(from_tensor(x));
+  const Image actual = from_tensor(network.forward(x));
+  ASSERT_EQ(actual.channels, kChannels);
+  ASSERT_EQ(actual.height, 28);
+  ASSERT_EQ(actual.width, 36);
+  double worst = 0;
+  for (std::size_t i = 0; i < actual.values.size(); ++i) {
+    worst = std::max(worst, std::abs(actual.values[i] - expected.values[i]));
+  }
+  EXPECT_LT(worst, 1e-5);
+}
+
+TEST_P(NetworkVariants, ScriptIsTheSameFunction) {
+  const Network network = make(architecture());
+  auto module = network.to_script();
+  const auto x = example_input(3, 5, 6);
+  const auto difference = (module.forward({x}).toTensor() - network.forward(x)).abs().max().item<double>();
+  EXPECT_LT(difference, 1e-5);
+}
+
+INSTANTIATE_TEST_SUITE_P(All, NetworkVariants,
+                         testing::Combine(testing::Values("bilinear", "subpixel"), testing::Bool(), testing::Bool()));
+
+TEST(Network, PublishedSizesHaveTheExpectedNumberOfParameters) {
+  const Network network(Architecture{}, 1);
+  // Counted by hand from the figure: shallow, 16 blocks of 6 layers with fusion, global fusion, heads.
+  const auto conv = [](std::int64_t in, std::int64_t out, std::int64_t k) { return in * out * k * k + out; };
+  std::int64_t expected =
+      conv(9, 64, 3) + conv(64, 64, 3) + conv(16 * 64, 64, 1) + conv(64, 64, 3) + 3 * conv(64, 3, 3);
+  for (int layer = 0; layer < 6; ++layer) expected += 16 * conv(64 + 32 * layer, 32, 3);
+  expected += 16 * conv(64 + 6 * 32, 64, 1);
+  EXPECT_EQ(network.parameter_count(), expected);
+}
+
+TEST(Network, UntrainedResidualNetworkIsBilinearUpsampling) {
+  for (const char* upsampling : {"bilinear", "subpixel"}) {
+    const Network network(small(upsampling, true, true), 3);
+    const auto x = example_input(2, 4, 5);
+    EXPECT_LT((network.forward(x) - upsample_bilinear(x)).abs().max().item<double>(), 1e-7);
+  }
+}
+
+TEST(Network, SeedDecidesTheWeights) {
+  const auto weights = [](std::uint64_t seed) {
+    return Network(small("bilinear", false, false), seed).parameters()[0].second;
+  };
+  EXPECT_TRUE(torch::equal(weights(1), weights(1)));
+  EXPECT_FALSE(torch::equal(weights(1), weights(2)));
+}
+
+TEST(Network, Bfloat16BodyStaysClose) {
+  const Network network = make(small("subpixel", true, true));
+  const auto x = example_input(1, 8, 8);
+  const auto exact = network.forward(x), rounded = network.forward(x, torch::kBFloat16);
+  EXPECT_EQ(rounded.scalar_type(), torch::kFloat32);
+  const double detail = (exact - upsample_bilinear(x)).square().mean().sqrt().item<double>();
+  EXPECT_LT((exact - rounded).square().mean().sqrt().item<double>(), 0.02 * detail);
+  EXPECT_FALSE(torch::equal(exact, rounded));
+}
+
+TEST(Network, EveryParameterGetsAGradient) {
+  const Network network = make(small("bilinear", true, true));
+  network.forward(example_input(1, 6, 6)).square().sum().backward();
+  for (const auto& [name, value] : network.parameters()) {
+    ASSERT_TRUE(value.grad().defined()) << name;
+    EXPECT_GT(value.grad().abs().max().item<double>(), 0) << name;
+  }
+}
+
+TEST(Network, SenselessSizesAreRefused) {
+  EXPECT_THROW(Network({0, 6, 32, 64, "bilinear", false, false}, 1), Error);
+  EXPECT_THROW(Network({16, 6, 32, 100000, "bilinear", false, false}, 1), Error);
+  EXPECT_THROW(Network({16, 6, 32, 64, "nearest", false, false}, 1), Error);
+  Network network(small("bilinear", true, true), 1);
+  Conditioning conditioning;
+  conditioning.input_mean.assign(9, 0);
+  conditioning.input_deviation.assign(9, 0);
+  EXPECT_THROW(network.set_conditioning(conditioning), Error);
+}
+
+}  // namespace
+}  // namespace pleat::superres

@@ -1,0 +1,87 @@
+// The trainer's configuration: strict about keys, types and ranges.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+
+#include "common/base/error.hpp"
+#include "services/superres/training/config.hpp"
+
+namespace pleat::superres {
+namespace {
+
+using testing::HasSubstr;
+
+std::string with(const std::string& more) {
+  return R"({"name": "a", "dataset": "d", "output": "o")" + (more.empty() ? "" : ", " + more) + "}";
+}
+
+std::string error_of(const std::string& text) {
+  try {
+    train_config_from_json(text, "config.json");
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
+    return error.what();
+  }
+  return "no error";
+}
+
+TEST(TrainConfig, DefaultsArePublishedOnes) {
+  const TrainConfig c = train_config_from_json(with(""), "x");
+  EXPECT_EQ(c.architecture.blocks, 16);
+  EXPECT_EQ(c.losses.frames, 3);
+  EXPECT_EQ(c.losses.target, "synthesized");
+  EXPECT_DOUBLE_EQ(c.losses.displacement, 0.9);
+  EXPECT_DOUBLE_EQ(c.optimizer.beta2, 0.9);
+  EXPECT_DOUBLE_EQ(c.optimizer.learning_rate, 1e-4);
+  EXPECT_EQ(c.epochs, 120);
+  EXPECT_EQ(c.batch, 16);
+  EXPECT_EQ(c.patch, 72);
+  EXPECT_EQ(c.schedule.step_epochs, 20);
+  EXPECT_EQ(c.schedule.fixed_after, 60);
+}
+
+TEST(TrainConfig, RoundTrip) {
+  const std::string text = with(R"("seed": 9, "optimizer": {"clip": 2.5}, "validation": {"sequences": ["x", "y"]})");
+  const TrainConfig c = train_config_from_json(text, "x");
+  EXPECT_EQ(c.seed, 9U);
+  EXPECT_DOUBLE_EQ(c.optimizer.clip, 2.5);
+  EXPECT_EQ(to_json(train_config_from_json(to_json(c), "x")), to_json(c));
+}
+
+TEST(TrainConfig, FaultsAreNamed) {
+  EXPECT_THAT(error_of(with(R"("epoch": 3)")), HasSubstr("unknown key 'epoch'"));
+  EXPECT_THAT(error_of(with(R"("optimizer": {"lr": 3})")), HasSubstr("unknown key 'optimizer.lr'"));
+  EXPECT_THAT(error_of(with(R"("epochs": "many")")), HasSubstr("'epochs' has the wrong type"));
+  EXPECT_THAT(error_of(with(R"("epochs": 2.5)")), HasSubstr("'epochs' has the wrong type"));
+  EXPECT_THAT(error_of(with(R"("seed": -1)")), HasSubstr("'seed'"));
+  EXPECT_THAT(error_of(with(R"("mirror": 1)")), HasSubstr("'mirror' has the wrong type"));
+  EXPECT_THAT(error_of(with(R"("losses": 5)")), HasSubstr("'losses' must be an object"));
+  EXPECT_THAT(error_of(with(R"("batch": 0)")), HasSubstr("'batch' = 0 is outside"));
+  EXPECT_THAT(error_of(with(R"("losses": {"target": "guess"})")), HasSubstr("'losses.target' = 'guess'"));
+  EXPECT_THAT(error_of(with(R"("architecture": {"blocks": -4})")), HasSubstr("blocks"));
+  EXPECT_THAT(error_of(with(R"("images": {"coarse_width": 60})")), HasSubstr("coarse_height"));
+  EXPECT_THAT(error_of(with(R"("schedule": {"kind": "cosine", "progress": "minutes"})")), HasSubstr("max_minutes"));
+  EXPECT_THAT(error_of(R"({"name": "a", "dataset": "d"})"), HasSubstr("'output' is missing"));
+  EXPECT_THAT(error_of(R"({"name": "../a", "dataset": "d", "output": "o"})"), HasSubstr("'name'"));
+  EXPECT_THAT(error_of("{"), HasSubstr("no JSON"));
+  EXPECT_THAT(error_of("[]"), HasSubstr("object"));
+  EXPECT_THROW(read_train_config("/does/not/exist.json"), Error);
+}
+
+TEST(TrainConfig, ResumptionMayChangeLimitsOnly) {
+  const auto json = [](const std::string& more) { return to_json(train_config_from_json(with(more), "x")); };
+  EXPECT_EQ(first_difference(json(""), json(R"("epochs": 7, "max_minutes": 1, "threads": 2)")), "");
+  EXPECT_EQ(first_difference(json(""), json(R"("batch": 3)")), "batch");
+  EXPECT_EQ(first_difference(json(""), json(R"("optimizer": {"beta1": 0.5})")), "optimizer/beta1");
+}
+
+TEST(TrainConfig, ShippedConfigurationIsValid) {
+  const char* root = std::getenv("PLEAT_SOURCE_DIR");
+  ASSERT_NE(root, nullptr);
+  const TrainConfig c = read_train_config(std::string(root) + "/deploy/models/draping.train.json");
+  EXPECT_EQ(c.name, "draping");
+}
+
+}  // namespace
+}  // namespace pleat::superres

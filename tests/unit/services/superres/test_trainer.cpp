@@ -1,0 +1,342 @@
+// The trainer on synthetic waves: it learns them, resumes exactly, and says what is wrong.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <torch/torch.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+
+#include "common/base/error.hpp"
+#include "services/superres/engine.hpp"
+#include "services/superres/training/checkpoint.hpp"
+#include "services/superres/training/sampler.hpp"
+#include "services/superres/training/trainer.hpp"
+
+namespace pleat::superres {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+constexpr int kHeight = 8, kWidth = 12;
+constexpr double kFrameTime = 0.04;
+
+/// A sheet whose coarse image decides its fine detail: waves of twice the frequency where the coarse ones are high.
+PairData waves(int sequences, int frames, bool fixed_point = false) {
+  PairData data;
+  data.frame_time_s = kFrameTime;
+  data.normalization.minimum.fill(-1);
+  data.normalization.maximum.fill(1);
+  data.topology_hash = "00000000000000aa";
+  data.fine_mask.assign(16 * kHeight * kWidth, 1);
+  data.fine_mask[0] = 0;
+  data.sheet_axes = {{1, 0, 0}, {0, 0, 1}};
+  for (int s = 0; s < sequences; ++s) {
+    PairSequence sequence;
+    sequence.name = "wave" + std::to_string(s);
+    sequence.validation = s == sequences - 1;
+    sequence.coarse = ImageStore(kHeight, kWidth, fixed_point);
+    sequence.fine = ImageStore(4 * kHeight, 4 * kWidth, fixed_point);
+    for (int f = 0; f < frames; ++f) {
+      const auto value = [&](int c, double y, double x, bool detail) {
+        const double base = std::sin(0.6 * x + 0.2 * f + s + c) * std::cos(0.4 * y + c);
+        return static_cast<float>(0.5 + 0.2 * base + (detail ? 0.03 * (2 * base * base - 1) : 0.0));
+      };
+      std::vector<float> coarse, fine;
+      for (int c = 0; c < kChannels; ++c) {
+        for (int y = 0; y < kHeight; ++y) {
+          for (int x = 0; x < kWidth; ++x) coarse.push_back(value(c, y, x, false));
+        }
+        for (int y = 0; y < 4 * kHeight; ++y) {
+          for (int x = 0; x < 4 * kWidth; ++x) fine.push_back(value(c, (y + 0.5) / 4 - 0.5, (x + 0.5) / 4 - 0.5, true));
+        }
+      }
+      sequence.coarse.append(coarse);
+      sequence.fine.append(fine);
+      sequence.rotations.push_back({1, 0, 0, 0, 1, 0, 0, 0, 1});
+    }
+    data.sequences.push_back(std::move(sequence));
+  }
+  return data;
+}
+
+class TrainerTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    const auto* info = testing::UnitTest::GetInstance()->current_test_info();
+    root_ = fs::temp_directory_path() / (std::string("pleat_train_") + info->name() + std::to_string(::getpid()));
+    fs::create_directories(root_);
+  }
+  void TearDown() override { fs::remove_all(root_); }
+
+  TrainConfig config(const std::string& output = "out") const {
+    TrainConfig c;
+    c.name = "waves";
+    c.dataset = "none";
+    c.output = (root_ / output).string();
+    c.architecture = {1, 2, 8, 8, "subpixel", true, true};
+    c.losses.frames = 2;
+    c.losses.scaling = "deviation";
+    c.optimizer.learning_rate = 1e-2;
+    c.optimizer.beta2 = 0.99;
+    c.optimizer.average = 0.9;
+    c.schedule.kind = "cosine";
+    c.validation.every_frames = 2;
+    c.epochs = 4;
+    c.batch = 2;
+    c.patch = 6;
+    c.steps_per_epoch = 6;
+    c.threads = 1;
+    c.device = "cpu";
+    c.checkpoint_minutes = 0;
+    return c;
+  }
+
+  static std::vector<std::string> rows(const std::string& file) {
+    std::ifstream in(file);
+    std::vector<std::string> result;
+    for (std::string line; std::getline(in, line);) {
+      // Minutes differ from run to run: columns are epoch, steps, minutes, ...
+      const auto second = line.find(',', line.find(',') + 1), third = line.find(',', second + 1);
+      result.push_back(line.substr(0, second) + line.substr(third));
+    }
+    return result;
+  }
+
+  fs::path root_;
+};
+
+TEST_F(TrainerTest, LearnsDetailThatInterpolationLacks) {
+  const PairData data = waves(3, 12);
+  TrainConfig c = config();
+  c.epochs = 25;
+  c.steps_per_epoch = 20;
+  c.mirror = false;
+  const TrainResult result = train(c, data, nullptr, {});
+  EXPECT_EQ(result.reason, StopReason::kEpochs);
+  EXPECT_GT(result.best.psnr_db, result.baseline.bilinear_psnr_db + 6);
+  EXPECT_EQ(result.bundle, c.output + "/waves.pt");
+
+  EngineOptions options;
+  options.folder = c.output;
+  options.precision = Precision::kFloat32;
+  options.use_cuda = false;
+  options.threads = 1;
+  Engine engine(options, "waves");
+  EXPECT_EQ(engine.describe().topology_hash, "00000000000000aa");
+  EXPECT_NEAR(engine.describe().metrics.at("psnr_db"), result.best.psnr_db, 1e-9);
+  // The written bundle scores what the trainer said.
+  double error = 0, count = 0;
+  const auto& sequence = data.sequences.back();
+  std::vector<float> coarse(9 * kHeight * kWidth), fine(16 * coarse.size());
+  for (std::size_t f = 0; f < 12; f += 2) {
+    sequence.coarse.read(f, 0, 0, kHeight, kWidth, coarse.data());
+    sequence.fine.read(f, 0, 0, 4 * kHeight, 4 * kWidth, fine.data());
+    const auto output = engine.upscale(coarse, kHeight, kWidth);
+    const std::size_t plane = data.fine_mask.size();
+    for (std::size_t i = 0; i < 3 * plane; ++i) {
+      if (data.fine_mask[i % plane] != 0) error += std::pow(output[i] - fine[i], 2), count += 1;
+    }
+  }
+  EXPECT_NEAR(-10 * std::log10(error / count), result.best.psnr_db, 0.01);
+}
+
+TEST_F(TrainerTest, ResumedTrainingHasTheSameCurve) {
+  const PairData data = waves(2, 8);
+  TrainConfig whole = config("whole");
+  whole.mirror = true;
+  train(whole, data, nullptr, {});
+
+  TrainConfig parts = config("parts");
+  parts.mirror = true;
+  std::atomic<bool> stop{false};
+  int steps = 0;
+  TrainHooks hooks;
+  hooks.stop = &stop;
+  hooks.progress = [&](int, double, double) {
+    if (++steps == 9) stop = true;  // in the middle of the second epoch
+  };
+  EXPECT_EQ(train(parts, data, nullptr, hooks).reason, StopReason::kStopped);
+  EXPECT_EQ(rows(parts.output + "/log.csv").size(), 2U);
+  // What a kill in the third epoch would leave behind: rows that the check-point does not know.
+  std::ofstream(parts.output + "/log.csv", std::ios::app) << "3,18,0,0,0,0,0,0,0,0,0,0,0\n";
+  const TrainResult result = train(parts, data, nullptr, {});
+  EXPECT_EQ(result.reason, StopReason::kEpochs);
+  EXPECT_EQ(rows(parts.output + "/log.csv"), rows(whole.output + "/log.csv"));
+  EXPECT_EQ(rows(parts.output + "/log.csv").size(), 5U);
+
+  // A third start has nothing left to do.
+  EXPECT_EQ(train(parts, data, nullptr, {}).reason, StopReason::kEpochs);
+  EXPECT_EQ(rows(parts.output + "/log.csv").size(), 5U);
+}
+
+TEST_F(TrainerTest, OtherConfigurationOrDamagedCheckpointIsRefused) {
+  const PairData data = waves(2, 6);
+  TrainConfig c = config();
+  c.epochs = 1;
+  train(c, data, nullptr, {});
+  c.batch = 3;
+  try {
+    train(c, data, nullptr, {});
+    FAIL() << "accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kFailedPrecondition);
+    EXPECT_THAT(error.what(), HasSubstr("'batch'"));
+  }
+  c.batch = 2;
+  const auto path = c.output + "/checkpoint.pt";
+  fs::resize_file(path, fs::file_size(path) / 2);
+  try {
+    train(c, data, nullptr, {});
+    FAIL() << "accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kDataLoss);
+    EXPECT_THAT(error.what(), HasSubstr("checkpoint.pt"));
+  }
+}
+
+TEST_F(TrainerTest, InitialWeightsComeFromAnotherTraining) {
+  const PairData data = waves(2, 6);
+  TrainConfig first = config("first");
+  train(first, data, nullptr, {});
+  TrainConfig second = config("second");
+  second.initial = first.output + "/checkpoint.pt";
+  second.epochs = 1;
+  second.steps_per_epoch = 1;
+  second.optimizer.learning_rate = 0;
+  const double before = train(first, data, nullptr, {}).best.psnr_db;
+  EXPECT_GE(train(second, data, nullptr, {}).best.psnr_db, before - 0.5);
+}
+
+TEST_F(TrainerTest, NonFiniteLossNamesTheBatch) {
+  PairData data = waves(2, 6);
+  TrainConfig c = config();
+  c.optimizer.learning_rate = 10;
+  c.architecture.conditioned = false;
+  std::vector<float> bad(9 * 16 * kHeight * kWidth, std::numeric_limits<float>::quiet_NaN());
+  auto& sequence = data.sequences.front();
+  ImageStore fine(4 * kHeight, 4 * kWidth, false);
+  for (int i = 0; i < 6; ++i) fine.append(bad);
+  sequence.fine = fine;
+  try {
+    train(c, data, nullptr, {});
+    FAIL() << "went on";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("not finite"));
+    EXPECT_THAT(error.what(), HasSubstr("wave0:"));
+  }
+}
+
+TEST_F(TrainerTest, TimeLimitEndsWithABundle) {
+  const PairData data = waves(2, 6);
+  TrainConfig c = config();
+  c.epochs = 1000000;
+  c.max_minutes = 0.02;
+  const TrainResult result = train(c, data, nullptr, {});
+  EXPECT_EQ(result.reason, StopReason::kMinutes);
+  EXPECT_TRUE(fs::exists(result.bundle));
+}
+
+TEST_F(TrainerTest, DataWithoutTrainingFramesIsRefused) {
+  PairData data = waves(2, 6);
+  data.sequences.front().validation = true;
+  EXPECT_THROW(train(config(), data, nullptr, {}), Error);
+  PairData one = waves(2, 2);  // shorter than a window of three
+  EXPECT_THROW(train(config(), one, nullptr, {}), Error);
+  PairData bent = waves(2, 6);
+  bent.sheet_axes.clear();
+  TrainConfig c = config();
+  c.mirror = true;
+  EXPECT_THROW(train(c, bent, nullptr, {}), Error);
+}
+
+TEST_F(TrainerTest, MirroredBatchesKeepTheMotion) {
+  // Velocities that are the backward differences of the displacements, under a turning alignment.
+  PairData data = waves(2, 6);
+  data.normalization.minimum = {-1, -2, -3, -1, -1, -1, -30, -20, -10};
+  data.normalization.maximum = {2, 1, 1, 1, 1, 1, 10, 20, 30};
+  auto& sequence = data.sequences.front();
+  ImageStore fine(4 * kHeight, 4 * kWidth, false);
+  const std::size_t plane = data.fine_mask.size();
+  std::vector<float> world(3 * plane, 0.0F), image(9 * plane);
+  for (std::size_t f = 0; f < 6; ++f) {
+    const double angle = 0.2 * static_cast<double>(f);
+    const std::array<float, 9> r{static_cast<float>(std::cos(angle)),  0, static_cast<float>(std::sin(angle)), 0, 1, 0,
+                                 static_cast<float>(-std::sin(angle)), 0, static_cast<float>(std::cos(angle))};
+    sequence.rotations[f] = r;
+    for (std::size_t i = 0; i < plane; ++i) {
+      float step[3], now[3];
+      for (std::size_t a = 0; a < 3; ++a) {
+        step[a] = f == 0 ? 0.0F : 0.01F * std::sin(static_cast<float>(a + i) * 0.1F + static_cast<float>(f));
+        now[a] = world[a * plane + i] += step[a];
+      }
+      for (std::size_t a = 0; a < 3; ++a) {
+        float d = 0, v = 0;
+        for (std::size_t b = 0; b < 3; ++b) d += r[3 * a + b] * now[b], v += r[3 * a + b] * step[b] / kFrameTime;
+        const auto unit = [&](std::size_t c, float value) {
+          return (value - data.normalization.minimum[c]) /
+                 (data.normalization.maximum[c] - data.normalization.minimum[c]);
+        };
+        image[a * plane + i] = unit(a, d);
+        image[(3 + a) * plane + i] = unit(3 + a, a == 1 ? 1.0F : 0.0F);
+        image[(6 + a) * plane + i] = unit(6 + a, v);
+      }
+    }
+    fine.append(image);
+  }
+  sequence.fine = fine;
+  LossConstants constants;
+  constants.minimum =
+      torch::tensor(std::vector<float>(data.normalization.minimum.begin(), data.normalization.minimum.end()));
+  constants.range =
+      torch::tensor(std::vector<float>(data.normalization.maximum.begin(), data.normalization.maximum.end())) -
+      constants.minimum;
+  constants.deviation = torch::ones({9});
+  constants.frame_time_s = kFrameTime;
+  TrainConfig c = config();
+  c.mirror = true;
+  c.losses.scaling = "none";
+  const Sampler sampler(c, data);
+  bool turned = false, kept = false;
+  for (int step = 0; step < 12; ++step) {
+    Batch batch = sampler.batch(0, step);
+    // World displacement and velocity of frame k from the images, with the batch's own rotations: x_k - x_0 = dt sum v.
+    const auto d = batch.fine.slice(1, 0, 3) * constants.range.slice(0, 0, 3).view({1, 3, 1, 1}) +
+                   constants.minimum.slice(0, 0, 3).view({1, 3, 1, 1});
+    const auto v = batch.fine.slice(1, 6, 9) * constants.range.slice(0, 6, 9).view({1, 3, 1, 1}) +
+                   constants.minimum.slice(0, 6, 9).view({1, 3, 1, 1});
+    const auto back = [&](const torch::Tensor& t) { return torch::einsum("nji,njhw->nihw", {batch.rotations, t}); };
+    const auto x = back(d), u = back(v);
+    for (int window = 0; window < c.batch; ++window) {
+      const int first = window * batch.frames;
+      for (int k = 1; k < batch.frames; ++k) {
+        auto sum = torch::zeros_like(x[first]);
+        for (int j = 1; j <= k; ++j) sum += u[first + j] * kFrameTime;
+        EXPECT_LT((x[first + k] - x[first] - sum).abs().max().item<double>(), 1e-5);
+      }
+      // The sheet's normal is +y unless it was reflected across.
+      const double normal = batch.fine[first][4].mean().item<double>();
+      (normal < 0.5 ? turned : kept) = true;
+    }
+  }
+  // Reflected across the sheet, positions are turned over and the normal with them twice: it stays.
+  EXPECT_FALSE(turned);
+  EXPECT_TRUE(kept);
+}
+
+TEST(ImageStore, FixedPointIsFineEnough) {
+  ImageStore exact(3, 4, false), fixed(3, 4, true);
+  std::vector<float> image;
+  for (int i = 0; i < 9 * 12; ++i) image.push_back(-0.5F + 1.99F * static_cast<float>(i) / (9 * 12));
+  exact.append(image), fixed.append(image);
+  EXPECT_EQ(fixed.bytes() * 2, exact.bytes());
+  std::vector<float> a(9 * 2 * 3), b(a.size());
+  exact.read(0, 1, 1, 2, 3, a.data());
+  fixed.read(0, 1, 1, 2, 3, b.data());
+  EXPECT_FLOAT_EQ(a[0], image[5]);
+  for (std::size_t i = 0; i < a.size(); ++i) EXPECT_NEAR(a[i], b[i], 1.6e-5);
+}
+
+}  // namespace
+}  // namespace pleat::superres
