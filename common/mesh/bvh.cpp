@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <string>
 
 #include "common/base/error.hpp"
 
@@ -64,7 +65,7 @@ void Bvh::refit(std::span<const Box> boxes) {
 }
 
 // Pairs below two nodes; the same node twice means pairs inside it.
-void Bvh::collide(std::uint32_t a, std::uint32_t b, std::vector<Pair>& out) const {
+void Bvh::collide(std::uint32_t a, std::uint32_t b, std::size_t limit, std::vector<Pair>& out) const {
   std::vector<Pair> stack;
   const auto push = [&](std::uint32_t p, std::uint32_t q) {
     if (boxes_[p].overlaps(boxes_[q])) stack.push_back({p, q});
@@ -74,7 +75,7 @@ void Bvh::collide(std::uint32_t a, std::uint32_t b, std::vector<Pair>& out) cons
   } else {
     push(a, b);
   }
-  while (!stack.empty()) {
+  while (!stack.empty() && out.size() <= limit) {
     const auto [p, q] = stack.back();
     stack.pop_back();
     const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
@@ -101,7 +102,7 @@ void Bvh::collide(std::uint32_t a, std::uint32_t b, std::vector<Pair>& out) cons
   }
 }
 
-std::vector<Bvh::Pair> Bvh::self_pairs(ThreadPool* pool) const {
+std::vector<Bvh::Pair> Bvh::self_pairs(ThreadPool* pool, std::size_t limit) const {
   if (empty()) return {};
   // Tasks: the tree's upper levels unfolded, always the same way, so that the order of the result is fixed.
   std::vector<Pair> tasks{{0, 0}};
@@ -125,7 +126,7 @@ std::vector<Bvh::Pair> Bvh::self_pairs(ThreadPool* pool) const {
   }
   std::vector<std::vector<Pair>> results(tasks.size());
   const auto run = [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) collide(tasks[i].first, tasks[i].second, results[i]);
+    for (std::size_t i = begin; i < end; ++i) collide(tasks[i].first, tasks[i].second, limit, results[i]);
   };
   if (pool != nullptr && size() > 2048) {
     pool->parallel_for(tasks.size(), 8, run);
@@ -134,6 +135,10 @@ std::vector<Bvh::Pair> Bvh::self_pairs(ThreadPool* pool) const {
   }
   std::size_t total = 0;
   for (const auto& r : results) total += r.size();
+  if (total > limit) {
+    throw Error(ErrorCode::kResourceExhausted,
+                "more than " + std::to_string(limit) + " pairs of elements are near each other");
+  }
   std::vector<Pair> out;
   out.reserve(total);
   for (const auto& r : results) out.insert(out.end(), r.begin(), r.end());

@@ -70,8 +70,9 @@ class Bvh {
   /// New boxes, same elements. O(n).
   void refit(std::span<const Box> boxes);
 
-  /// All pairs (i < j) of elements whose boxes overlap. The pool may be null.
-  std::vector<Pair> self_pairs(ThreadPool* pool = nullptr) const;
+  /// All pairs (i < j) of elements whose boxes overlap. The pool may be null. Throws kResourceExhausted if there are
+  /// more than `limit`.
+  std::vector<Pair> self_pairs(ThreadPool* pool = nullptr, std::size_t limit = 100'000'000) const;
 
   /// Calls visit(i, j), i < j, for every pair of self_pairs until it returns false. Needs no memory per pair, so that a
   /// mesh that has collapsed into one place can't exhaust it. Returns whether all pairs were visited.
@@ -142,7 +143,7 @@ class Bvh {
   };
 
   std::uint32_t build(std::span<const Box> boxes, std::span<std::uint32_t> elements);
-  void collide(std::uint32_t a, std::uint32_t b, std::vector<Pair>& out) const;
+  void collide(std::uint32_t a, std::uint32_t b, std::size_t limit, std::vector<Pair>& out) const;
 
   std::vector<Node> nodes_;
   std::vector<Box> boxes_;              // one per node

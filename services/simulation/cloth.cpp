@@ -1,13 +1,19 @@
 #include "services/simulation/cloth.hpp"
 
 #include <chrono>
+#include <string>
 #include <utility>
+
+#include "common/base/error.hpp"
 
 namespace pleat::simulation {
 namespace {
 
 using Eigen::Vector3d;
 using Clock = std::chrono::steady_clock;
+
+// Metres. Nothing of a garment's scene is farther from the origin; NaN isn't nearer either.
+constexpr double kFarthest = 1e5;
 
 double milliseconds(Clock::time_point from, Clock::time_point to) {
   return std::chrono::duration<double, std::milli>(to - from).count();
@@ -35,6 +41,7 @@ Cloth::Cloth(const Topology& mesh, Points initial, std::vector<std::vector<std::
   velocities_.resize(positions_.size(), Vector3d::Zero());
   for (auto& vertices : handle_vertices) {
     handles_.emplace_back();
+    handles_.back().anchors.assign(vertices.size(), Vector3d::Zero());
     handles_.back().vertices = std::move(vertices);
   }
 }
@@ -51,11 +58,10 @@ void Cloth::collect_pins(double time_s, double step_s) {
     // Half a step of tolerance: step times are sums.
     const bool active = time_s + 0.5 * step_s >= script.start_s && time_s + 0.5 * step_s < script.end_s;
     if (active && !state.active) {
-      state.anchors.clear();
       state.pivot.setZero();
-      for (const std::uint32_t v : state.vertices) {
-        state.anchors.push_back(positions_[v]);
-        state.pivot += positions_[v] / static_cast<double>(state.vertices.size());
+      for (std::size_t i = 0; i < state.vertices.size(); ++i) {
+        state.anchors[i] = positions_[state.vertices[i]];
+        state.pivot += state.anchors[i] / static_cast<double>(state.vertices.size());
       }
     }
     state.active = active;
@@ -96,7 +102,14 @@ void Cloth::step(double time_s, double step_s, std::span<const Pin> springs, Thr
   const auto solve_done = Clock::now();
 
   Points end(positions_.size());
-  for (std::size_t i = 0; i < vertex_count(); ++i) end[i] = positions_[i] + step_s * velocities_[i];
+  for (std::size_t i = 0; i < vertex_count(); ++i) {
+    end[i] = positions_[i] + step_s * velocities_[i];
+    if (!(end[i].cwiseAbs().maxCoeff() < kFarthest)) {
+      throw Error(ErrorCode::kFailedPrecondition, "scene '" + scene_.name + "': the simulation has diverged at " +
+                                                      std::to_string(time_s) + " s (vertex " + std::to_string(i) +
+                                                      "); it may need smaller steps or weaker forces");
+    }
+  }
   for (std::size_t o = 0; o < obstacles.size(); ++o) end[vertex_count() + o] = obstacles[o];
   const Resolution resolution = contact_.resolve(positions_, end, inverse_masses_, pool);
   if (resolution.impacts > 0) {

@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <numbers>
 #include <numeric>
+#include <utility>
 
 #include "common/base/error.hpp"
 
@@ -311,7 +314,7 @@ void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPoo
   });
   cloth_bvh_.refit(std::span(face_boxes_).first(cloth_faces_));
   std::vector<Bvh::Pair> face_pairs;
-  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(&pool);
+  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(&pool, 1'000'000 + 1000 * cloth_faces_);
   if (!obstacle_bvh_.empty()) {
     obstacle_bvh_.refit(std::span(face_boxes_).subspan(cloth_faces_));
     for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
@@ -558,6 +561,7 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
   find_pairs(start, end, pool);
   const double most = 0.1 * thickness_;
   std::vector<Impact> impacts;
+  std::map<std::pair<Kind, std::array<std::uint32_t, 4>>, std::size_t> impact_of;
   std::vector<char> changed(particle_count_, 1);
   bool all_rigid = true;
 
@@ -588,14 +592,12 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
     // The latest geometry of a pair replaces what earlier rounds knew about it.
     for (const auto& list : found) {
       for (const Impact& impact : list) {
-        const auto same = std::find_if(impacts.begin(), impacts.end(), [&](const Impact& i) {
-          return i.pair.kind == impact.pair.kind && i.pair.v == impact.pair.v;
-        });
-        if (same == impacts.end()) {
+        const auto [known, inserted] = impact_of.try_emplace({impact.pair.kind, impact.pair.v}, impacts.size());
+        if (inserted) {
           impacts.push_back(impact);
         } else {
           // Its push so far stays in `end`; the new constraint starts from there.
-          *same = impact;
+          impacts[known->second] = impact;
         }
       }
     }

@@ -183,6 +183,7 @@ void Dynamics::build_pattern() {
     vector->assign(n, Float4{});
   }
   fixed_.assign(n, 0);
+  reference_angles_.assign(hinges_.size(), 0);
 }
 
 Points Dynamics::internal_forces(const Points& x) const {
@@ -256,8 +257,6 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
     }
   });
 
-  const bool first = reference_angles_.empty();
-  if (first) reference_angles_.assign(hinges_.size(), 0);
   pool.parallel_for(hinges_.size(), kElementGrain, [&](std::size_t begin, std::size_t end) {
     constexpr float kTurn = 2 * std::numbers::pi_v<float>;
     for (std::size_t i = begin; i < end; ++i) {

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <numbers>
 #include <random>
+#include <type_traits>
 #include <utility>
 
 #include "common/base/error.hpp"
@@ -23,8 +25,9 @@ class Writer {
  public:
   explicit Writer(std::vector<std::byte>& bytes) : bytes_(bytes) {}
   void raw(const void* data, std::size_t size) {
-    const auto* first = static_cast<const std::byte*>(data);
-    bytes_.insert(bytes_.end(), first, first + size);
+    const std::size_t before = bytes_.size();
+    bytes_.resize(before + size);
+    if (size > 0) std::memcpy(bytes_.data() + before, data, size);
   }
   template <typename T>
   void value(const T& v) {
@@ -57,13 +60,15 @@ class Reader {
   void value(T& v) {
     raw(&v, sizeof(v));
   }
+  // The arrays of a state have fixed sizes: another one means that the bytes are not of this simulation.
   template <typename T>
   void array(std::vector<T>& v) {
     std::uint64_t size = 0;
     value(size);
-    if (size > bytes_.size() / sizeof(T)) throw_data_loss("simulation check-point: truncated");
-    v.resize(size);
+    if (size != v.size()) throw_data_loss("simulation check-point: an array of another size");
     raw(v.data(), v.size() * sizeof(T));
+    const auto* bytes = reinterpret_cast<const unsigned char*>(v.data());
+    check_finite(bytes, v.size() * sizeof(T), std::is_same_v<T, Vector3d>);
   }
   void vectors(Points& v) { array(v); }
   void floats(std::vector<float>& v) { array(v); }
@@ -77,6 +82,18 @@ class Reader {
   bool at_end() const { return bytes_.empty(); }
 
  private:
+  template <typename T>
+  static void check_finite_as(const unsigned char* bytes, std::size_t size) {
+    for (std::size_t at = 0; at + sizeof(T) <= size; at += sizeof(T)) {
+      T number;
+      std::memcpy(&number, bytes + at, sizeof(T));
+      if (!std::isfinite(number)) throw_data_loss("simulation check-point: a value is not finite");
+    }
+  }
+  static void check_finite(const unsigned char* bytes, std::size_t size, bool doubles) {
+    doubles ? check_finite_as<double>(bytes, size) : check_finite_as<float>(bytes, size);
+  }
+
   std::span<const std::byte> bytes_;
 };
 
@@ -243,7 +260,9 @@ struct Simulation::State {
     }
     coarse.emplace(garment, initial, std::move(coarse_handles), scene);
     coarse->check_start(pool);
+    last_coarse = Positions::Zero(garment.vertex_count(), 3);
     if (mode == Mode::kCoarse) return;
+    last_fine = Positions::Zero(subdivision.fine.vertex_count(), 3);
     const Points fine_initial = to_points(upsample(subdivision, garment.faces, to_positions(initial)));
     if (mode == Mode::kTrackedFine && scene.tracking.two_level) {
       fine.emplace(subdivision.fine, fine_initial, std::move(fine_handles), scene, &garment,
@@ -397,8 +416,18 @@ void Simulation::restore(std::span<const std::byte> bytes) {
   if (fingerprint != scene_fingerprint(state_->scene, state_->mode)) {
     throw_invalid_argument("simulation check-point: belongs to another scene");
   }
-  state_->archive(reader);
-  if (!reader.at_end()) throw_data_loss("simulation check-point: too long");
+  // A check-point that turns out wrong half-way must leave the simulation as it was.
+  const std::vector<std::byte> backup = checkpoint();
+  try {
+    state_->archive(reader);
+    if (!reader.at_end()) throw_data_loss("simulation check-point: too long");
+  } catch (const Error&) {
+    Reader undo(backup);
+    char header[sizeof(kMagic) + sizeof(kVersion) + sizeof(fingerprint)];
+    undo.raw(header, sizeof(header));
+    state_->archive(undo);
+    throw;
+  }
 }
 
 std::vector<ObstacleFrame> obstacle_frames(const Scene& scene, double time_s) {
