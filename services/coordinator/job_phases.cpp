@@ -157,14 +157,16 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   PendingCheckpoints checkpoints(folder / "checkpoint.bin");
   const auto stored = [&](const Recorder::FramePtr& frame, std::uint64_t complete) {
     checkpoints.frames_are_stored(complete);
+    const bool failed = frame->error.has_value();
+    const std::uint32_t penetrations = frame->report.penetrations_after();
+    const std::uint32_t self_intersections = frame->report.self_intersections_after();
     // The frame belongs to nobody else any more: its arrays go to the watchers without a copy.
     job.feed.publish(frame->index, make_event(*frame));
-    const auto& report = frame->report;
     table_.update(job.id, [&](JobRecord& record) {
       record.frames_complete = static_cast<std::uint32_t>(complete);
-      record.penetrations += report.penetrations_after();
-      record.self_intersections += report.self_intersections_after();
-      record.frame_errors += frame->error ? 1 : 0;
+      record.penetrations += penetrations;
+      record.self_intersections += self_intersections;
+      record.frame_errors += failed ? 1 : 0;
       record.wall_s = earlier_s + wall.milliseconds() * 1e-3;
     });
   };

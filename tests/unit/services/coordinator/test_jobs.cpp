@@ -1,0 +1,287 @@
+#include <algorithm>
+#include <fstream>
+
+#include "common/frame/messages.hpp"
+#include "common/store/result.hpp"
+#include "tests/unit/services/coordinator/coordinator_fixture.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+using testing::Faults;
+using namespace std::chrono_literals;
+
+class JobsTest : public CoordinatorTest {
+ protected:
+  /// Every array of a result against what the fakes make of the scene.
+  void expect_right(const std::string& path, std::uint64_t frames, bool fine = false,
+                    const std::vector<std::uint64_t>& failed = {}) {
+    const ResultReader reader(path);
+    ASSERT_EQ(reader.frames_complete(), frames);
+    const Topology coarse = testing::sheet();
+    const Subdivision subdivision = subdivide(coarse, 2);
+    EXPECT_EQ(topology_hash(reader.info().topology.fine), topology_hash(subdivision.fine));
+    EXPECT_EQ(reader.info().model, "fake");
+    EXPECT_EQ(reader.info().has_fine, fine);
+    EXPECT_EQ(reader.info().frame_time_s, 0.04);
+    for (std::uint64_t i = 0; i < frames; ++i) {
+      const v1::Frame frame = testing::fake_coarse_frame(coarse, i);
+      const Positions positions = positions_from_message(frame);
+      ASSERT_EQ(reader.coarse(i, i + 1)[0], positions) << i;
+      const bool bad = std::find(failed.begin(), failed.end(), i) != failed.end();
+      const Positions made = testing::fake_enhanced(subdivision, coarse.faces, frame);
+      ASSERT_EQ(reader.enhanced(i, i + 1)[0], bad ? upsample(subdivision, coarse.faces, positions) : made) << i;
+      if (fine) {
+        ASSERT_EQ(reader.fine(i, i + 1)[0], made) << i;
+      }
+      ASSERT_EQ(reader.times(i, i + 1)[0], 0.04 * static_cast<double>(i));
+      ASSERT_EQ(reader.obstacles(i, i + 1)[0][0].center.x(), 0.1F * static_cast<float>(i));
+      ASSERT_EQ(reader.counts("frame_errors", i, i + 1)[0], bad ? 1U : 0U);
+    }
+    EXPECT_EQ(reader.stage_ms("superres", 0, 1)[0], 6.0F);
+    EXPECT_EQ(reader.stage_ms("simulation", 0, 1)[0], 1.5F);
+  }
+};
+
+TEST_F(JobsTest, AJobEndsInItsResultFile) {
+  start();
+  EXPECT_EQ(create(20, "a").id(), "a");
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  EXPECT_EQ(job.frames_complete(), 20U);
+  EXPECT_EQ(job.summary().coarse_vertices(), 20U);
+  EXPECT_EQ(job.summary().fine_vertices(), 221U);
+  EXPECT_EQ(job.summary().penetrations(), 1U) << "the fake leaves one in frame 3";
+  EXPECT_EQ(job.summary().self_intersections(), 0U);
+  EXPECT_EQ(job.summary().model(), "fake");
+  EXPECT_EQ(job.summary().precision(), "float32");
+  EXPECT_GT(job.summary().wall_s(), 0);
+  expect_right(job.result_path(), 20);
+  EXPECT_FALSE(std::filesystem::exists(job.result_path() + ".partial"));
+}
+
+TEST_F(JobsTest, ARetriedRequestIsTheSameJob) {
+  start();
+  create(3, "a");
+  EXPECT_EQ(create(3, "a").id(), "a");
+  finished("a");
+  EXPECT_EQ(create(3, "a").state(), v1::Job::STATE_DONE);
+  v1::CreateJobRequest other;
+  *other.mutable_scene() = testing::fake_scene(4);
+  other.set_job_id("a");
+  v1::Job job;
+  EXPECT_EQ(create(other, &job).error_code(), grpc::StatusCode::ALREADY_EXISTS);
+}
+
+TEST_F(JobsTest, BadRequestsAreRefusedWithTheirCauseAndLeaveNoJob) {
+  start();
+  const auto refused = [&](grpc::StatusCode code, const std::string& cause,
+                           const std::function<void(v1::CreateJobRequest&)>& spoil) {
+    v1::CreateJobRequest request;
+    *request.mutable_scene() = testing::fake_scene(4);
+    spoil(request);
+    v1::Job job;
+    const grpc::Status status = create(request, &job);
+    EXPECT_EQ(status.error_code(), code) << status.error_message();
+    EXPECT_NE(status.error_message().find(cause), std::string::npos) << status.error_message();
+  };
+  using Request = v1::CreateJobRequest;
+  using grpc::StatusCode;
+  refused(StatusCode::INVALID_ARGUMENT, "scene", [](Request& r) { r.clear_scene(); });
+  refused(StatusCode::INVALID_ARGUMENT, "scene.frames", [](Request& r) { r.mutable_scene()->set_frames(0); });
+  refused(StatusCode::INVALID_ARGUMENT, "scene.name", [](Request& r) { r.mutable_scene()->set_name("../x"); });
+  refused(StatusCode::INVALID_ARGUMENT, "scene.gravity", [](Request& r) { r.mutable_scene()->add_gravity(1); });
+  refused(StatusCode::INVALID_ARGUMENT, "job_id", [](Request& r) { r.set_job_id("a b"); });
+  refused(StatusCode::NOT_FOUND, "nobody", [](Request& r) { r.set_model("nobody"); });
+  refused(StatusCode::RESOURCE_EXHAUSTED, "scene.frames", [](Request& r) { r.set_frames(2'000'000'000); });
+  grpc::ClientContext context;
+  v1::ListJobsResponse jobs;
+  EXPECT_TRUE(stub_->ListJobs(&context, {}, &jobs).ok());
+  EXPECT_EQ(jobs.jobs_size(), 0);
+  EXPECT_EQ(watch("nobody", 0, false).error_code(), grpc::StatusCode::NOT_FOUND);
+}
+
+TEST_F(JobsTest, AReferenceIsSimulatedAfterThePipeline) {
+  start();
+  create(8, "a", true);
+  bool referenced = false;
+  EXPECT_TRUE(watch("a", 0, false, [&](const v1::JobEvent& event) {
+                referenced = referenced || event.progress().state() == v1::Job::STATE_REFERENCE;
+              }).ok());
+  const v1::Job job = get("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  EXPECT_EQ(job.reference_frames_complete(), 8U);
+  expect_right(job.result_path(), 8, true);
+}
+
+TEST_F(JobsTest, FaultsInEveryStageLeaveTheSameBits) {
+  start();
+  for (testing::FakeService* fake : fakes_.all()) {
+    fake->faults.at(4, Faults::Kind::kBreak);
+    fake->faults.at(11, Faults::Kind::kBreak);
+  }
+  fakes_.refinement().faults.at(13, Faults::Kind::kHang);
+  create(16, "a");
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  EXPECT_EQ(job.summary().frame_errors(), 0U);
+  expect_right(job.result_path(), 16);
+  EXPECT_NE(metrics_.text().find("pleat_reconnects_total"), std::string::npos);
+}
+
+TEST_F(JobsTest, AFrameErrorKeepsTheJobAndTheUpsampledFrame) {
+  start();
+  fakes_.superres().faults.at(5, Faults::Kind::kFrameError);
+  create(9, "a");
+  std::vector<std::uint64_t> seen, errors;
+  EXPECT_TRUE(watch("a", 0, true, [&](const v1::JobEvent& event) {
+                if (event.has_frame()) seen.push_back(event.frame().fine().index());
+                if (event.has_error()) errors.push_back(event.error().index());
+              }).ok());
+  EXPECT_EQ(seen, (std::vector<std::uint64_t>{0, 1, 2, 3, 4, 6, 7, 8}));
+  EXPECT_EQ(errors, (std::vector<std::uint64_t>{5}));
+  const v1::Job job = get("a");
+  EXPECT_EQ(job.state(), v1::Job::STATE_DONE);
+  EXPECT_EQ(job.summary().frame_errors(), 1U);
+  expect_right(job.result_path(), 9, false, {5});
+}
+
+TEST_F(JobsTest, WatchersGetEveryFrameFromWhereTheyAsk) {
+  start();
+  fakes_.simulation().faults.delay(2ms);
+  create(60, "a");
+  const Topology coarse = testing::sheet();
+  const Subdivision subdivision = subdivide(coarse, 2);
+  const auto expect_all = [&](std::uint64_t from, std::chrono::milliseconds pause) {
+    std::uint64_t next = from;
+    bool opened = false;
+    const grpc::Status status = watch("a", from, true, [&](const v1::JobEvent& event) {
+      if (event.has_opened()) {
+        opened = true;
+        EXPECT_EQ(event.opened().fine().rest_positions_size(), 3 * subdivision.fine.vertex_count());
+        EXPECT_EQ(event.opened().obstacles_size(), 1);
+      }
+      if (!event.has_frame()) return;
+      EXPECT_TRUE(opened);
+      ASSERT_EQ(event.frame().fine().index(), next);
+      EXPECT_EQ(positions_from_message(event.frame().fine()),
+                testing::fake_enhanced(subdivision, coarse.faces, testing::fake_coarse_frame(coarse, next)));
+      EXPECT_EQ(event.frame().coarse().positions_size(), 60);
+      EXPECT_EQ(event.frame().obstacles(0).name(), "ball");
+      EXPECT_EQ(event.frame().report().penetrations_after(), next == 3 ? 1U : 0U);
+      ++next;
+      std::this_thread::sleep_for(pause);
+    });
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    EXPECT_EQ(next, 60U);
+  };
+  std::thread live([&] { expect_all(0, 0ms); });
+  std::thread slow([&] { expect_all(0, 8ms); });
+  std::thread late([&] { expect_all(31, 0ms); });
+  finished("a");
+  live.join();
+  slow.join();
+  late.join();
+  expect_all(0, 0ms);
+  stop();
+  start();
+  expect_all(57, 0ms);
+}
+
+TEST_F(JobsTest, ACancelledJobKeepsItsFrames) {
+  start();
+  fakes_.simulation().faults.delay(5ms);
+  create(100'000, "a");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 5; }));
+  const v1::Job job = cancel("a");
+  EXPECT_EQ(job.state(), v1::Job::STATE_CANCELLED);
+  EXPECT_EQ(cancel("a").state(), v1::Job::STATE_CANCELLED);
+  EXPECT_TRUE(eventually([&] {
+    return std::all_of(fakes_.all().begin(), fakes_.all().end(), [](auto* fake) { return fake->sessions == 0; });
+  }));
+  const v1::Job ended = get("a");
+  EXPECT_TRUE(ended.result_path().ends_with("result.h5")) << ended.result_path();
+  expect_right(ended.result_path(), ended.frames_complete());
+}
+
+TEST_F(JobsTest, JobsBeyondTheLimitAreQueued) {
+  options_.jobs.concurrency = 1;
+  start();
+  fakes_.simulation().faults.delay(5ms);
+  create(100'000, "a");
+  create(3, "b");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() > 0; }));
+  EXPECT_EQ(get("b").state(), v1::Job::STATE_QUEUED);
+  create(3, "c");
+  EXPECT_EQ(cancel("c").state(), v1::Job::STATE_CANCELLED);
+  cancel("a");
+  fakes_.simulation().faults.delay(0ms);
+  EXPECT_EQ(finished("b").state(), v1::Job::STATE_DONE);
+}
+
+TEST_F(JobsTest, TwoJobsAtOnce) {
+  start();
+  fakes_.simulation().faults.delay(1ms);
+  create(40, "a");
+  create(30, "b");
+  const v1::Job a = finished("a");
+  const v1::Job b = finished("b");
+  ASSERT_EQ(a.state(), v1::Job::STATE_DONE);
+  ASSERT_EQ(b.state(), v1::Job::STATE_DONE);
+  expect_right(a.result_path(), 40);
+  expect_right(b.result_path(), 30);
+}
+
+TEST_F(JobsTest, ARestartedCoordinatorGoesOn) {
+  start();
+  fakes_.simulation().faults.delay(3ms);
+  create(60, "a", true);
+  create(2, "ended");
+  finished("ended");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 20; }));
+  stop();
+  const int before = fakes_.simulation().frames;
+  fakes_.simulation().faults.delay(0ms);
+  start();
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  expect_right(job.result_path(), 60, true);
+  EXPECT_EQ(job.summary().penetrations(), 1U) << "counted once over both runs";
+  EXPECT_LT(fakes_.simulation().frames - before, 60 + 60 - 10) << "it went on at a check-point";
+  EXPECT_EQ(get("ended").state(), v1::Job::STATE_DONE);
+}
+
+TEST_F(JobsTest, AMissingServiceIsNamedWithItsAddress) {
+  fakes_.refinement().stop();
+  start();
+  create(5, "a");
+  const v1::Job job = finished("a");
+  EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
+  EXPECT_NE(job.error().find("refinement at " + fakes_.refinement().address()), std::string::npos) << job.error();
+  fakes_.simulation().stop();
+  v1::CreateJobRequest request;
+  *request.mutable_scene() = testing::fake_scene(4);
+  v1::Job refused;
+  const grpc::Status status = create(request, &refused);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::UNAVAILABLE);
+  EXPECT_NE(status.error_message().find("simulation at " + fakes_.simulation().address()), std::string::npos);
+}
+
+TEST_F(JobsTest, ADamagedPartialFileStartsTheJobAnew) {
+  options_.jobs.concurrency = 1;
+  start();
+  fakes_.simulation().faults.delay(3ms);
+  create(30, "a");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 12; }));
+  stop();
+  std::ofstream(std::filesystem::path(options_.data) / "jobs/a/result.h5.partial", std::ios::trunc) << "nothing";
+  fakes_.simulation().faults.delay(0ms);
+  start();
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  expect_right(job.result_path(), 30);
+  EXPECT_EQ(job.summary().penetrations(), 1U);
+}
+
+}  // namespace
+}  // namespace pleat::coordinator

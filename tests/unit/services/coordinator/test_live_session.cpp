@@ -1,0 +1,290 @@
+#include <limits>
+#include <memory>
+
+#include "common/frame/messages.hpp"
+#include "tests/unit/services/coordinator/coordinator_fixture.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+using testing::Faults;
+using namespace std::chrono_literals;
+
+/// One Enhance call.
+class Client {
+ public:
+  explicit Client(v1::Coordinator::Stub& stub) : stream_(stub.Enhance(&context_)) {}
+
+  bool send(const v1::EnhanceRequest& request) { return stream_->Write(request); }
+  /// The next message; an empty one at the end.
+  v1::EnhanceResponse receive() {
+    v1::EnhanceResponse response;
+    if (!stream_->Read(&response)) response.Clear();
+    return response;
+  }
+  void close() { stream_->WritesDone(); }
+  void vanish() { context_.TryCancel(); }
+  grpc::Status finish() {
+    v1::EnhanceResponse rest;
+    while (stream_->Read(&rest)) {
+    }
+    return stream_->Finish();
+  }
+
+ private:
+  grpc::ClientContext context_;
+  std::unique_ptr<grpc::ClientReaderWriter<v1::EnhanceRequest, v1::EnhanceResponse>> stream_;
+};
+
+class LiveSessionTest : public CoordinatorTest {
+ protected:
+  LiveSessionTest() : coarse_(testing::sheet()), subdivision_(subdivide(coarse_, 2)) {}
+
+  v1::EnhanceRequest open_request() const {
+    v1::EnhanceRequest request;
+    *request.mutable_open()->mutable_coarse() = to_message(coarse_);
+    request.mutable_open()->add_obstacles()->set_name("ball");
+    return request;
+  }
+  std::unique_ptr<Client> open(const v1::EnhanceRequest& request) {
+    auto client = std::make_unique<Client>(*stub_);
+    client->send(request);
+    const v1::EnhanceResponse response = client->receive();
+    EXPECT_TRUE(response.has_opened()) << client->finish().error_message();
+    return client;
+  }
+  v1::EnhanceRequest frame_request(std::uint64_t index) const {
+    v1::EnhanceRequest request;
+    *request.mutable_frame()->mutable_coarse() = testing::fake_coarse_frame(coarse_, index);
+    request.mutable_frame()->mutable_coarse()->clear_velocities();
+    request.mutable_frame()->add_obstacles()->set_name("ball");
+    return request;
+  }
+  void expect_frame(const v1::EnhanceResponse& response, std::uint64_t index, bool refined = true) const {
+    ASSERT_TRUE(response.has_frame()) << response.error().message();
+    EXPECT_EQ(response.frame().fine().index(), index);
+    const Positions expected =
+        testing::fake_enhanced(subdivision_, coarse_.faces, testing::fake_coarse_frame(coarse_, index), refined);
+    ASSERT_EQ(response.frame().fine().positions_size(), expected.size());
+    EXPECT_LT((positions_from_message(response.frame().fine()) - expected).cwiseAbs().maxCoeff(), 1e-6F);
+  }
+  bool all_stages_free() {
+    for (const auto* fake : fakes_.all()) {
+      if (fake->sessions != 0) return false;
+    }
+    return true;
+  }
+  void expect_refused(const v1::EnhanceRequest& request, grpc::StatusCode code, const std::string& cause) {
+    Client client(*stub_);
+    client.send(request);
+    const grpc::Status status = client.finish();
+    EXPECT_EQ(status.error_code(), code) << status.error_message();
+    EXPECT_NE(status.error_message().find(cause), std::string::npos) << status.error_message();
+  }
+
+  Topology coarse_;
+  Subdivision subdivision_;
+};
+
+TEST_F(LiveSessionTest, FramesComeBackRefinedAndVelocitiesAreFilled) {
+  start();
+  Client client(*stub_);
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->set_window(3);
+  client.send(request);
+  const v1::EnhanceResponse opened = client.receive();
+  ASSERT_TRUE(opened.has_opened());
+  EXPECT_EQ(opened.opened().window(), 3U);
+  EXPECT_EQ(opened.opened().model(), "fake");
+  EXPECT_EQ(topology_hash(from_message(opened.opened().fine())), topology_hash(subdivision_.fine));
+  EXPECT_EQ(opened.opened().feature_vertices_size(), coarse_.vertex_count());
+  for (std::uint64_t i = 0; i < 25; ++i) {
+    ASSERT_TRUE(client.send(frame_request(i)));
+    const v1::EnhanceResponse response = client.receive();
+    expect_frame(response, i);
+    EXPECT_EQ(response.frame().report().zones(), 1U) << "the obstacle reached refinement";
+    EXPECT_EQ(response.frame().stage_times_size(), 4);
+  }
+  client.close();
+  EXPECT_TRUE(client.finish().ok());
+  EXPECT_TRUE(eventually([&] { return all_stages_free(); }));
+}
+
+TEST_F(LiveSessionTest, FramesMayBeSentAhead) {
+  start();
+  const auto client = open(open_request());
+  std::thread sender([&] {
+    for (std::uint64_t i = 0; i < 80; ++i) client->send(frame_request(i));
+    client->close();
+  });
+  for (std::uint64_t i = 0; i < 80; ++i) expect_frame(client->receive(), i);
+  sender.join();
+  EXPECT_TRUE(client->finish().ok());
+}
+
+TEST_F(LiveSessionTest, ABadFrameIsAnErrorAndTheSessionLives) {
+  start();
+  const auto client = open(open_request());
+  std::vector<v1::EnhanceRequest> bad(4, frame_request(1));
+  bad[0].mutable_frame()->mutable_coarse()->mutable_positions()->Truncate(30);
+  bad[1].mutable_frame()->mutable_coarse()->set_positions(7, std::numeric_limits<float>::quiet_NaN());
+  bad[2].mutable_frame()->mutable_coarse()->add_velocities(1);
+  bad[3].mutable_frame()->clear_coarse();
+  const std::vector<std::string> causes{"positions: 30 values given, the session has 20 vertices", "not finite",
+                                        "velocities: 1 values", "positions: 0 values"};
+  client->send(frame_request(0));
+  expect_frame(client->receive(), 0);
+  for (std::size_t i = 0; i < bad.size(); ++i) {
+    client->send(bad[i]);
+    const v1::EnhanceResponse response = client->receive();
+    ASSERT_TRUE(response.has_error());
+    EXPECT_EQ(response.error().code(), static_cast<int>(grpc::StatusCode::INVALID_ARGUMENT));
+    EXPECT_EQ(response.error().index(), i < 3 ? 1U : 0U);
+    EXPECT_NE(response.error().message().find(causes[i]), std::string::npos) << response.error().message();
+  }
+  client->send(frame_request(1));
+  expect_frame(client->receive(), 1);
+  client->close();
+  EXPECT_TRUE(client->finish().ok());
+}
+
+TEST_F(LiveSessionTest, AnErrorBetweenFramesInFlightKeepsItsPlace) {
+  start();
+  fakes_.superres().faults.delay(5ms);
+  const auto client = open(open_request());
+  v1::EnhanceRequest bad = frame_request(1);
+  bad.mutable_frame()->mutable_coarse()->mutable_positions()->Clear();
+  client->send(frame_request(0));
+  client->send(bad);
+  client->send(frame_request(2));
+  EXPECT_TRUE(client->receive().has_frame());
+  EXPECT_TRUE(client->receive().has_error());
+  EXPECT_TRUE(client->receive().has_frame());
+}
+
+TEST_F(LiveSessionTest, TheClientsIndicesComeBack) {
+  start();
+  const auto client = open(open_request());
+  for (const std::uint64_t index : {700, 701, 701, 5}) {
+    v1::EnhanceRequest request = frame_request(3);
+    request.mutable_frame()->mutable_coarse()->set_index(index);
+    client->send(request);
+    EXPECT_EQ(client->receive().frame().fine().index(), index);
+  }
+}
+
+TEST_F(LiveSessionTest, RefinementCanBeLeftOut) {
+  start();
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->set_skip_refinement(true);
+  const auto client = open(request);
+  client->send(frame_request(0));
+  expect_frame(client->receive(), 0, false);
+}
+
+TEST_F(LiveSessionTest, FaultsAreInvisible) {
+  start();
+  for (testing::FakeService* fake : {&fakes_.conversion(), &fakes_.superres(), &fakes_.refinement()}) {
+    fake->faults.at(3, Faults::Kind::kBreak);
+    fake->faults.at(9, Faults::Kind::kBreak);
+  }
+  const auto client = open(open_request());
+  for (std::uint64_t i = 0; i < 15; ++i) {
+    client->send(frame_request(i));
+    expect_frame(client->receive(), i);
+  }
+}
+
+TEST_F(LiveSessionTest, AClientThatDisappearsFreesEveryStage) {
+  options_.answer_timeout_s = 60;
+  start();
+  fakes_.superres().faults.at(2, Faults::Kind::kHang);
+  const auto client = open(open_request());
+  for (std::uint64_t i = 0; i < 4; ++i) client->send(frame_request(i));
+  EXPECT_TRUE(eventually([&] { return fakes_.superres().frames >= 2; }));
+  client->vanish();
+  EXPECT_EQ(client->finish().error_code(), grpc::StatusCode::CANCELLED);
+  EXPECT_TRUE(eventually([&] { return all_stages_free(); }));
+  EXPECT_TRUE(eventually([&] {
+    return metrics_.text().find("pleat_sessions{service=\"coordinator\"} 0") != std::string::npos;
+  })) << metrics_.text();
+}
+
+TEST_F(LiveSessionTest, AClientThatWaitsIsToldWhenAStageIsLost) {
+  start();
+  const auto client = open(open_request());
+  client->send(frame_request(0));
+  expect_frame(client->receive(), 0);
+  fakes_.refinement().stop();
+  // The client only reads: the status must reach it all the same.
+  const grpc::Status status = client->finish();
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::UNAVAILABLE);
+  EXPECT_NE(status.error_message().find("refinement at " + fakes_.refinement().address()), std::string::npos)
+      << status.error_message();
+}
+
+TEST_F(LiveSessionTest, BadOpensAreRefusedWithTheirCause) {
+  start();
+  using grpc::StatusCode;
+  expect_refused(frame_request(0), StatusCode::INVALID_ARGUMENT, "open");
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->mutable_coarse()->set_faces(0, 99);
+  expect_refused(request, StatusCode::INVALID_ARGUMENT, "open.coarse");
+  request = open_request();
+  request.mutable_open()->mutable_coarse()->clear_uv();
+  request.mutable_open()->mutable_coarse()->clear_uv_faces();
+  expect_refused(request, StatusCode::INVALID_ARGUMENT, "open.coarse");
+  request = open_request();
+  request.mutable_open()->set_model("nobody");
+  expect_refused(request, StatusCode::NOT_FOUND, "nobody");
+  request = open_request();
+  request.mutable_open()->set_window(65);
+  expect_refused(request, StatusCode::INVALID_ARGUMENT, "window");
+  request = open_request();
+  request.mutable_open()->set_frame_time_s(-1);
+  expect_refused(request, StatusCode::INVALID_ARGUMENT, "frame_time_s");
+  request = open_request();
+  request.mutable_open()->set_subdivision_rounds(30);
+  expect_refused(request, StatusCode::INVALID_ARGUMENT, "subdivision_rounds");
+  request = open_request();
+  request.mutable_open()->add_obstacles()->set_name("ball");
+  expect_refused(request, StatusCode::INVALID_ARGUMENT, "'ball'");
+}
+
+TEST_F(LiveSessionTest, ASecondOpenEndsTheStreamAfterTheFramesBefore) {
+  start();
+  const auto client = open(open_request());
+  client->send(frame_request(0));
+  client->send(open_request());
+  expect_frame(client->receive(), 0);
+  EXPECT_EQ(client->finish().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
+TEST_F(LiveSessionTest, SessionsAreLimited) {
+  options_.live.max_sessions = 1;
+  start();
+  auto client = open(open_request());
+  expect_refused(open_request(), grpc::StatusCode::RESOURCE_EXHAUSTED, "live sessions");
+  client->close();
+  EXPECT_TRUE(client->finish().ok());
+  EXPECT_TRUE(eventually([&] {
+    Client next(*stub_);
+    next.send(open_request());
+    return next.receive().has_opened();
+  }));
+}
+
+TEST_F(LiveSessionTest, AStoppingCoordinatorAnswersWhatIsInFlight) {
+  start();
+  fakes_.superres().faults.delay(30ms);
+  const auto client = open(open_request());
+  client->send(frame_request(0));
+  ASSERT_TRUE(eventually([&] { return fakes_.conversion().frames > 0; }));
+  service_->drain();
+  expect_frame(client->receive(), 0);
+  EXPECT_EQ(client->finish().error_code(), grpc::StatusCode::UNAVAILABLE);
+  expect_refused(open_request(), grpc::StatusCode::UNAVAILABLE, "stopping");
+}
+
+}  // namespace
+}  // namespace pleat::coordinator

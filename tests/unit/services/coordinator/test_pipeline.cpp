@@ -1,0 +1,307 @@
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <mutex>
+#include <thread>
+
+#include "common/frame/messages.hpp"
+#include "common/rpc/channel.hpp"
+#include "services/coordinator/pipeline.hpp"
+#include "tests/support/fake_stages.hpp"
+
+namespace pleat::coordinator {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::Faults;
+
+LinkOptions fast_link() {
+  LinkOptions link;
+  link.connect = [](const std::string& address) { return rpc::create_channel(address); };
+  link.give_up = 1500ms;
+  link.open_timeout = 5s;
+  link.answer_timeout = 300ms;
+  return link;
+}
+
+class PipelineTest : public ::testing::Test {
+ protected:
+  PipelineTest() : coarse_(testing::sheet()), subdivision_(subdivide(coarse_, 2)) {
+    addresses_ = {{fakes_.simulation().address()},
+                  {fakes_.conversion().address()},
+                  {fakes_.superres().address()},
+                  {fakes_.refinement().address()}};
+    session_.coarse = to_message(coarse_);
+    session_.model.set_model("fake");
+    session_.model.set_scale(4);
+  }
+
+  std::unique_ptr<EnhancementPipeline> make(EnhancementPipeline::Sink sink = {}, LinkOptions link = fast_link()) {
+    if (!sink) {
+      sink = [this](std::unique_ptr<PipelineFrame> frame) {
+        const std::lock_guard lock(mutex_);
+        out_.push_back(std::move(frame));
+      };
+    }
+    return std::make_unique<EnhancementPipeline>(addresses_, link, session_,
+                                                 static_cast<std::size_t>(subdivision_.fine.vertex_count()),
+                                                 topology_hash(subdivision_.fine), std::move(sink));
+  }
+
+  std::unique_ptr<PipelineFrame> frame(std::uint64_t index) {
+    auto made = std::make_unique<PipelineFrame>();
+    made->sequence = made->index = index;
+    made->coarse = testing::fake_coarse_frame(coarse_, index);
+    return made;
+  }
+
+  /// Sends frames and waits for all of them.
+  void run(std::uint64_t frames) {
+    const auto pipeline = make();
+    pipeline->wait_open();
+    for (std::uint64_t i = 0; i < frames; ++i) ASSERT_TRUE(pipeline->push(frame(i)));
+    pipeline->close();
+    pipeline->wait();
+  }
+
+  void expect_right(std::uint64_t frames, const std::vector<std::uint64_t>& failed = {}) {
+    ASSERT_EQ(out_.size(), frames);
+    for (std::uint64_t i = 0; i < frames; ++i) {
+      ASSERT_EQ(out_[i]->index, i);
+      if (std::find(failed.begin(), failed.end(), i) != failed.end()) {
+        EXPECT_TRUE(out_[i]->error.has_value()) << i;
+        continue;
+      }
+      ASSERT_FALSE(out_[i]->error.has_value()) << i << ": " << out_[i]->error->message();
+      const Positions expected = testing::fake_enhanced(
+          subdivision_, coarse_.faces, testing::fake_coarse_frame(coarse_, i), !session_.skip_refinement);
+      ASSERT_EQ(positions_from_message(out_[i]->fine), expected) << i;
+    }
+  }
+
+  testing::FakeStages fakes_;
+  Topology coarse_;
+  Subdivision subdivision_;
+  ServiceAddresses addresses_;
+  PipelineSession session_;
+  std::mutex mutex_;
+  std::vector<std::unique_ptr<PipelineFrame>> out_;
+};
+
+TEST_F(PipelineTest, FramesPassEveryStageInOrder) {
+  run(30);
+  expect_right(30);
+  std::string stages;
+  for (const auto& time : out_[7]->stage_times) stages += time.stage() + " ";
+  EXPECT_EQ(stages, "to_image superres to_mesh refinement ");
+  EXPECT_EQ(out_[7]->report.self_intersections_before(), 2U);
+  for (const auto* fake : fakes_.all()) EXPECT_EQ(fake->sessions, 0) << fake->address();
+}
+
+TEST_F(PipelineTest, AnEmptySessionEndsWell) {
+  run(0);
+  EXPECT_TRUE(out_.empty());
+}
+
+TEST_F(PipelineTest, RefinementCanBeLeftOut) {
+  session_.skip_refinement = true;
+  run(5);
+  expect_right(5);
+  EXPECT_EQ(fakes_.refinement().opened, 0);
+}
+
+TEST_F(PipelineTest, BrokenStreamsChangeNothing) {
+  fakes_.conversion().faults.at(3, Faults::Kind::kBreak, 2);
+  fakes_.superres().faults.at(5, Faults::Kind::kBreak);
+  fakes_.superres().faults.at(6, Faults::Kind::kBreak);
+  fakes_.refinement().faults.at(0, Faults::Kind::kBreak);
+  fakes_.refinement().faults.at(19, Faults::Kind::kBreak);
+  run(20);
+  expect_right(20);
+  EXPECT_EQ(fakes_.superres().opened, 3);
+}
+
+TEST_F(PipelineTest, AStageThatHangsIsReconnected) {
+  fakes_.superres().faults.at(4, Faults::Kind::kHang);
+  run(10);
+  expect_right(10);
+  EXPECT_EQ(fakes_.superres().opened, 2);
+}
+
+TEST_F(PipelineTest, AnAnswerThatWasNotAskedForIsABreak) {
+  fakes_.refinement().faults.at(2, Faults::Kind::kWrongIndex);
+  run(6);
+  expect_right(6);
+}
+
+TEST_F(PipelineTest, AServiceThatComesBackIsFound) {
+  const auto pipeline = make();
+  pipeline->wait_open();
+  std::thread killer([this] {
+    for (testing::FakeService* fake : {&fakes_.conversion(), &fakes_.superres(), &fakes_.refinement()}) {
+      std::this_thread::sleep_for(30ms);
+      fake->stop();
+      std::this_thread::sleep_for(30ms);
+      fake->start();
+    }
+  });
+  fakes_.superres().faults.delay(2ms);
+  for (std::uint64_t i = 0; i < 120; ++i) ASSERT_TRUE(pipeline->push(frame(i)));
+  pipeline->close();
+  pipeline->wait();
+  killer.join();
+  expect_right(120);
+}
+
+TEST_F(PipelineTest, AServiceThatStaysAwayIsNamed) {
+  const auto pipeline = make();
+  pipeline->wait_open();
+  fakes_.refinement().stop();
+  pipeline->push(frame(0));
+  pipeline->close();
+  try {
+    pipeline->wait();
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kUnavailable);
+    const std::string message = e.what();
+    EXPECT_NE(message.find("refinement at " + fakes_.refinement().address()), std::string::npos) << message;
+    EXPECT_NE(message.find("gave up after 1500 ms"), std::string::npos) << message;
+  }
+  EXPECT_FALSE(pipeline->push(frame(1)));
+}
+
+TEST_F(PipelineTest, ARefusedOpenFailsAtOnce) {
+  fakes_.superres().faults.refuse({grpc::StatusCode::FAILED_PRECONDITION, "trained for another mesh"}, 1);
+  const auto pipeline = make();
+  try {
+    pipeline->wait_open();
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
+    EXPECT_NE(std::string(e.what()).find("another mesh"), std::string::npos);
+  }
+}
+
+TEST_F(PipelineTest, AFrameErrorConcernsItsFrameOnly) {
+  fakes_.superres().faults.at(4, Faults::Kind::kFrameError);
+  fakes_.refinement().faults.at(6, Faults::Kind::kFrameError);
+  fakes_.conversion().faults.at(8, Faults::Kind::kFrameError);
+  run(12);
+  expect_right(12, {4, 6, 8});
+  EXPECT_EQ(out_[4]->error->code(), 3);
+  EXPECT_EQ(out_[4]->error->message(), "superres: a bad frame, on purpose");
+  EXPECT_EQ(out_[4]->error->index(), 4U);
+}
+
+TEST_F(PipelineTest, AWrongSizeIsAFrameErrorAndReachesNobody) {
+  fakes_.refinement().faults.at(3, Faults::Kind::kWrongSize);
+  run(5);
+  expect_right(5, {3});
+}
+
+TEST_F(PipelineTest, AFrameThatAlwaysKillsItsStageIsGivenUp) {
+  fakes_.superres().faults.at(2, Faults::Kind::kBreak, 1000);
+  run(6);
+  expect_right(6, {2});
+  EXPECT_NE(out_[2]->error->message().find("superres at "), std::string::npos) << out_[2]->error->message();
+}
+
+TEST_F(PipelineTest, ReplicasShareTheFramesAndTheLossOfOneIsNoLoss) {
+  testing::FakeService& second = fakes_.add_superres();
+  addresses_.superres.push_back(second.address());
+  fakes_.superres().faults.delay(2ms);
+  second.faults.delay(2ms);
+  {
+    const auto pipeline = make();
+    pipeline->wait_open();
+    for (std::uint64_t i = 0; i < 60; ++i) {
+      if (i == 30) second.stop();
+      ASSERT_TRUE(pipeline->push(frame(i)));
+    }
+    pipeline->close();
+    pipeline->wait();
+  }
+  expect_right(60);
+  EXPECT_GT(fakes_.superres().frames, 0);
+  EXPECT_GT(second.frames, 0);
+}
+
+TEST_F(PipelineTest, ASlowSinkSlowsTheSource) {
+  std::atomic<int> taken{0};
+  std::atomic<bool> go{false};
+  session_.window = 2;
+  const auto pipeline = make([&](std::unique_ptr<PipelineFrame>) {
+    while (!go) std::this_thread::sleep_for(1ms);
+    ++taken;
+  });
+  std::atomic<int> pushed{0};
+  std::thread producer([&] {
+    for (std::uint64_t i = 0; i < 40; ++i) {
+      pipeline->push(frame(i));
+      ++pushed;
+    }
+    pipeline->close();
+  });
+  std::this_thread::sleep_for(300ms);
+  // Four stages with two frames each, and one in the producer's hand.
+  EXPECT_LE(pushed, 8);
+  go = true;
+  producer.join();
+  pipeline->wait();
+  EXPECT_EQ(taken, 40);
+}
+
+TEST_F(PipelineTest, ASinkThatThrowsFailsTheSession) {
+  const auto pipeline = make([](std::unique_ptr<PipelineFrame> done) {
+    if (done->index == 2) throw Error(ErrorCode::kResourceExhausted, "disk full: result.h5");
+  });
+  for (std::uint64_t i = 0; i < 50 && pipeline->push(frame(i)); ++i) {
+  }
+  pipeline->close();
+  try {
+    pipeline->wait();
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_STREQ(e.what(), "disk full: result.h5");
+  }
+}
+
+TEST_F(PipelineTest, CancellingFreesEveryStage) {
+  fakes_.superres().faults.at(1, Faults::Kind::kHang);
+  LinkOptions patient = fast_link();
+  patient.answer_timeout = 60s;
+  auto pipeline = make({}, patient);
+  pipeline->wait_open();
+  for (std::uint64_t i = 0; i < 4; ++i) pipeline->push(frame(i));
+  pipeline->fail(Error(ErrorCode::kCancelled, "cancelled"));
+  EXPECT_THROW(pipeline->wait(), Error);
+  pipeline.reset();
+  for (int i = 0; i < 1000; ++i) {
+    int open = 0;
+    for (const auto* fake : fakes_.all()) open += fake->sessions;
+    if (open == 0) break;
+    std::this_thread::sleep_for(5ms);
+  }
+  for (const auto* fake : fakes_.all()) EXPECT_EQ(fake->sessions, 0) << fake->address();
+}
+
+TEST(SplitAddresses, CommasSeparateReplicas) {
+  EXPECT_EQ(split_addresses("superres", "a:1,,unix:/b"), (std::vector<std::string>{"a:1", "unix:/b"}));
+  EXPECT_THROW(split_addresses("superres", ","), Error);
+}
+
+TEST_F(PipelineTest, AnUnknownBundleIsNamedByTheService) {
+  const auto never = [] { return false; };
+  EXPECT_EQ(describe_model(addresses_, fast_link(), "", never).model(), "fake");
+  try {
+    describe_model(addresses_, fast_link(), "nobody", never);
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kNotFound);
+    EXPECT_NE(std::string(e.what()).find("no bundle 'nobody'"), std::string::npos);
+  }
+}
+
+}  // namespace
+}  // namespace pleat::coordinator
