@@ -39,6 +39,10 @@ void print_error(const std::string& message);
 /// --tls-ca, --tls-certificate, --tls-key, --tls-server-name, for coordinators on other hosts.
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls);
 
+/// Checks of options, with messages for people: above 0; 0 or above, whole.
+CLI::Validator positive_number();
+CLI::Validator natural_number();
+
 /// The whole program: parses, runs, turns every exception into one line and an exit code.
 int run_program(int argc, const char* const* argv);
 

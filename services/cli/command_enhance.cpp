@@ -48,6 +48,7 @@ int enhance(const EnhanceOptions& options) {
   if (address.empty()) {
     LauncherOptions launch;
     launch.models = model.folder;
+    launch.model = model.name;
     launch.data = out / "services";
     launch.logs = out / "logs";
     launcher.emplace(launch);
@@ -119,8 +120,8 @@ std::vector<Command> add_enhance(CLI::App& root) {
   app->add_option("--obstacle", options->obstacles,
                   "sphere:X,Y,Z,RADIUS, MESH.obj, or MESH.obj@FRAMES if it moves; may be repeated");
   app->add_option("--fps", options->fps, "frames a second of motion (default: the file's, or 25)")
-      ->check(CLI::PositiveNumber);
-  app->add_option("--count", options->count, "enhance the first COUNT frames only")->check(CLI::PositiveNumber);
+      ->check(positive_number());
+  app->add_option("--count", options->count, "enhance the first COUNT frames only")->check(positive_number());
   app->add_option("--rounds", options->rounds, "rounds of subdivision from the coarse to the fine mesh")
       ->capture_default_str()
       ->check(CLI::Range(0, 5));
@@ -129,7 +130,7 @@ std::vector<Command> add_enhance(CLI::App& root) {
                   "address of a running coordinator (default: start all services for this run)");
   app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(positive_number());
   add_tls_options(*app, options->tls);
   return {{app, [options] { return enhance(*options); }}};
 }

@@ -97,6 +97,7 @@ class Run {
     if (local) {
       LauncherOptions launch;
       launch.models = model.folder;
+      launch.model = model.name;
       launch.data = out_ / "services";
       launch.logs = out_ / "logs";
       launcher_.emplace(launch);
@@ -239,7 +240,7 @@ std::vector<Command> add_run(CLI::App& root) {
   const auto options = std::make_shared<RunOptions>();
   app->add_option("scene", options->scene, "scene file, for example deploy/scenes/draping.json")->required();
   app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
-  app->add_option("--frames", options->frames, "frames to make (default: the scene's)")->check(CLI::PositiveNumber);
+  app->add_option("--frames", options->frames, "frames to make (default: the scene's)")->check(positive_number());
   app->add_option("--model", options->model,
                   "model bundle: a file, or a name in deploy/models (default: the service's)");
   app->add_option("--coordinator", options->coordinator,
@@ -248,7 +249,7 @@ std::vector<Command> add_run(CLI::App& root) {
                 "also simulate the tracked fine cloth, for comparison; the time of the run excludes it");
   app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(positive_number());
   add_tls_options(*app, options->tls);
   return {{app, [options] { return Run(*options)(); }}};
 }

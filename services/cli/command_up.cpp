@@ -62,7 +62,7 @@ std::vector<Command> add_health(CLI::App& root) {
   const auto options = std::make_shared<HealthOptions>();
   app->add_option("address", options->address, "unix:PATH, HOST:PORT or dns:///NAME:PORT")->required();
   app->add_option("service", options->service, "full name, for example pleat.v1.Coordinator")->required();
-  app->add_option("--timeout", options->timeout_s, "seconds")->capture_default_str()->check(CLI::PositiveNumber);
+  app->add_option("--timeout", options->timeout_s, "seconds")->capture_default_str()->check(positive_number());
   add_tls_options(*app, options->tls);
   return {{app, [options] {
              const auto timeout = std::chrono::milliseconds(static_cast<long>(options->timeout_s * 1000));

@@ -1,5 +1,6 @@
 #include "services/cli/launcher.hpp"
 
+#include <algorithm>
 #include <csignal>
 #include <cstdlib>
 #include <fstream>
@@ -19,6 +20,7 @@ using Clock = std::chrono::steady_clock;
 constexpr std::chrono::milliseconds kHealthTimeout{300};
 constexpr std::chrono::milliseconds kPoll{20};
 constexpr std::size_t kRestartsPerMinute = 3;
+constexpr const char* kDefaultBundle = "draping";
 
 struct Known {
   const char* name;
@@ -30,6 +32,17 @@ constexpr Known kServices[] = {{"simulation", "pleat.v1.Simulation"},
                                {"superres", "pleat.v1.SuperResolution"},
                                {"refinement", "pleat.v1.Refinement"},
                                {"coordinator", "pleat.v1.Coordinator"}};
+
+/// The bundle that superres loads at its start; "" where there is none.
+std::string default_bundle(const fs::path& models) {
+  std::vector<std::string> names;
+  std::error_code ignored;
+  for (const fs::directory_entry& entry : fs::directory_iterator(models, ignored))
+    if (entry.path().extension() == ".pt") names.push_back(entry.path().stem().string());
+  std::sort(names.begin(), names.end());
+  if (std::find(names.begin(), names.end(), kDefaultBundle) != names.end()) return kDefaultBundle;
+  return names.empty() ? "" : names.front();
+}
 
 /// The address behind "ready " in a log, where the system chose the port.
 std::optional<std::string> ready_address(const fs::path& log, std::streamoff from) {
@@ -62,6 +75,7 @@ fs::path default_models_folder() {
 
 Launcher::Launcher(LauncherOptions options) : options_(std::move(options)) {
   if (options_.models.empty()) options_.models = default_models_folder();
+  if (options_.model.empty()) options_.model = default_bundle(options_.models);
   std::error_code failed;
   for (const fs::path& folder : {options_.data, options_.logs}) {
     fs::create_directories(folder, failed);
@@ -74,6 +88,7 @@ Launcher::Launcher(LauncherOptions options) : options_(std::move(options)) {
     service.address = "unix:" + (sockets_.path() / (service.name + ".sock")).string();
     if (service.name == "coordinator" && !options_.listen.empty()) service.address = options_.listen;
     services_.push_back(service);
+    fs::remove(options_.logs / (service.name + ".log"), failed);  // of an earlier run
   }
   running_.reserve(services_.size());
   for (std::size_t i = 0; i < services_.size(); ++i) start_service(i);
@@ -91,7 +106,10 @@ void Launcher::start_service(std::size_t index) {
     arguments.push_back(flag);
     arguments.push_back(value);
   };
-  if (service.name == "superres") add("--models", options_.models.string());
+  if (service.name == "superres") {
+    add("--models", options_.models.string());
+    add("--model", options_.model);
+  }
   if (service.name == "coordinator") {
     for (std::size_t i = 0; i < index; ++i) add("--" + services_[i].name, services_[i].address);
     add("--data", options_.data.string());

@@ -14,12 +14,13 @@ namespace pleat::cli {
 struct LauncherOptions {
   std::filesystem::path executables = executable_folder();  ///< where pleat-simulation and the others lie
   std::filesystem::path models;                             ///< bundles; empty: default_models_folder()
-  std::filesystem::path data;                               ///< the coordinator's job files; made if need be
-  std::filesystem::path logs;                               ///< one file a service; made if need be
-  std::string listen;                                       ///< of the coordinator; empty: a Unix socket
-  std::string metrics_listen;                               ///< of the coordinator; empty: none
-  std::chrono::seconds start_timeout{120};                  ///< until all are healthy
-  std::chrono::seconds stop_grace{10};                      ///< between SIGTERM and SIGKILL
+  std::string model;           ///< the default bundle; empty: draping, else the first in `models`, else none
+  std::filesystem::path data;  ///< the coordinator's job files; made if need be
+  std::filesystem::path logs;  ///< one file a service; made if need be
+  std::string listen;          ///< of the coordinator; empty: a Unix socket
+  std::string metrics_listen;  ///< of the coordinator; empty: none
+  std::chrono::seconds start_timeout{120};  ///< until all are healthy
+  std::chrono::seconds stop_grace{10};      ///< between SIGTERM and SIGKILL
 };
 
 /// deploy/models below the folders above the executable, else ../share/pleat/models; $PLEAT_MODELS goes first.

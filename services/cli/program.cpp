@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <exception>
 #include <iostream>
@@ -62,15 +63,34 @@ void add_tls_options(CLI::App& app, rpc::TlsOptions& tls) {
   group->add_option("--tls-server-name", tls.server_name, "name in the server's certificate, if it is not the address");
 }
 
+CLI::Validator positive_number() {
+  return CLI::Validator(
+      [](std::string& text) -> std::string {
+        double value = 0;
+        if (CLI::detail::lexical_cast(text, value) && value > 0 && std::isfinite(value)) return {};
+        return "'" + text + "' is not a number above 0";
+      },
+      "> 0");
+}
+
+CLI::Validator natural_number() {
+  return CLI::Validator(
+      [](std::string& text) -> std::string {
+        if (!text.empty() && text.size() < 19 && text.find_first_not_of("0123456789") == std::string::npos) return {};
+        return "'" + text + "' is not a whole number";
+      },
+      ">= 0");
+}
+
 int run_program(int argc, const char* const* argv) {
   install_signal_handlers();
   CLI::App root(kDescription, "pleat");
-  root.footer(kFooter);
   root.set_version_flag("--version", "pleat " + version() + " (" + git_revision() + ")");
-  root.require_subcommand(1);
+  root.require_subcommand(0, 1);
   std::vector<Command> commands;
-  for (const auto add : {add_up, add_run, add_enhance, add_health})
+  for (const auto add : {add_up, add_run, add_enhance, add_export, add_dataset, add_eval, add_bench, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
+  root.footer(kFooter);
   try {
     root.parse(argc, argv);
   } catch (const CLI::Success& success) {

@@ -38,6 +38,10 @@ void Progress::update(std::uint64_t done, const std::string& note) {
   show(note, false);
 }
 
+void Progress::line(const std::string& text) {
+  std::fprintf(stderr, "%s%s\n", terminal_ && shown_ ? "\r\033[K" : "", text.c_str());
+}
+
 void Progress::finish(const std::string& note) {
   if (finished_) return;
   show(note, true);

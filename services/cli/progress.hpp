@@ -18,6 +18,8 @@ class Progress {
 
   /// On a terminal at most ten times a second; otherwise one line for every tenth of the total.
   void update(std::uint64_t done, const std::string& note = {});
+  /// A line for people, above the bar.
+  void line(const std::string& text);
   /// The last state, always shown.
   void finish(const std::string& note = {});
 

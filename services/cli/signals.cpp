@@ -25,6 +25,10 @@ void install_signal_handlers() {
   std::signal(SIGPIPE, SIG_IGN);
 }
 
+void restore_signal_handlers() {
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) std::signal(number, SIG_DFL);
+}
+
 bool interrupted() noexcept { return stop_requested != 0; }
 
 }  // namespace pleat::cli

@@ -9,4 +9,7 @@ void install_signal_handlers();
 
 bool interrupted() noexcept;
 
+/// Back to the system's reactions: a signal ends the process.
+void restore_signal_handlers();
+
 }  // namespace pleat::cli

@@ -1,0 +1,121 @@
+// `pleat eval`: bundles against the baselines on unseen sequences.
+#include <chrono>
+#include <cstdio>
+
+#include "common/frame/messages.hpp"
+#include "services/cli/command.hpp"
+#include "services/cli/enhance_session.hpp"
+#include "services/cli/evaluation.hpp"
+#include "services/cli/launcher.hpp"
+#include "services/cli/output.hpp"
+#include "services/cli/progress.hpp"
+
+namespace pleat::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct EvalOptions {
+  std::string dataset, logs = "out/eval", coordinator;
+  std::vector<std::string> models;
+  EvaluationOptions evaluation;
+  bool json = false;
+  double timeout_s = 30;
+  rpc::TlsOptions tls;
+};
+
+/// The bundle through a live session per sequence, refinement included.
+Method session_method(const std::shared_ptr<grpc::Channel>& channel, const std::string& address,
+                      const MeshPair& topology, const std::string& model) {
+  const int rounds = subdivision_rounds(topology);
+  return {"pleat:" + model, [=](const MethodInput& input, const auto& sink) {
+            EnhanceSessionOptions open;
+            open.coarse = topology.coarse;
+            open.model = model;
+            open.frame_time_s = input.frame_time_s;
+            open.obstacles = input.obstacle_shapes;
+            open.subdivision_rounds = static_cast<std::uint32_t>(rounds);
+            EnhanceSession session(channel, address, open);
+            session.run(
+                input.frames,
+                [&](std::uint64_t k) {
+                  return CoarseInput{input.coarse(k), input.obstacles(k)};
+                },
+                [&](const v1::EnhancedFrame& frame, const CoarseInput&) {
+                  MethodFrame out;
+                  out.positions = positions_from_message(frame.fine(), topology.fine.vertex_count());
+                  for (const v1::StageTime& time : frame.stage_times()) out.ms.emplace_back(time.stage(), time.ms());
+                  sink(frame.fine().index(), out);
+                });
+          }};
+}
+
+int evaluate_command(const EvalOptions& options) {
+  const DatasetReader dataset(options.dataset);
+  std::vector<Method> methods{barycentric_method(dataset.topology())};
+  std::optional<Launcher> launcher;
+  if (!options.models.empty()) {
+    std::vector<std::string> names;
+    fs::path folder;
+    std::string address = options.coordinator;
+    for (const std::string& text : options.models) {
+      if (!address.empty()) {
+        names.push_back(text);
+        continue;
+      }
+      const ModelChoice choice = choose_model(text);
+      const fs::path own = choice.folder.empty() ? default_models_folder() : choice.folder;
+      if (!folder.empty() && !fs::equivalent(folder, own))
+        throw_invalid_argument("--model " + text + ": all bundles must lie in one folder, " + folder.string());
+      folder = own;
+      names.push_back(choice.name);
+    }
+    if (address.empty()) {
+      LauncherOptions launch;
+      launch.models = folder;
+      launch.data = fs::path(options.logs) / "services";
+      launch.logs = fs::path(options.logs) / "logs";
+      launcher.emplace(launch);
+      address = launcher->coordinator();
+    }
+    const auto channel = rpc::create_channel(address, options.tls);
+    rpc::wait_healthy(channel, "pleat.v1.Coordinator", address,
+                      std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
+    for (const std::string& name : names) methods.push_back(session_method(channel, address, dataset.topology(), name));
+  }
+  std::optional<Progress> progress;
+  const auto figures = evaluate(dataset, methods, options.evaluation, [&](std::uint64_t done, std::uint64_t total) {
+    if (!progress) progress.emplace("frames", total);
+    progress->update(done);
+  });
+  if (progress) progress->finish();
+  if (options.json)
+    std::printf("%s\n", to_json(figures).dump(2).c_str());
+  else
+    std::printf("%s", to_table(figures).c_str());
+  return kExitDone;
+}
+
+}  // namespace
+
+std::vector<Command> add_eval(CLI::App& root) {
+  CLI::App* app = root.add_subcommand("eval", "figures of model bundles and of the baseline on a data set");
+  const auto options = std::make_shared<EvalOptions>();
+  app->add_option("--dataset", options->dataset, "folder of the data set")->required();
+  app->add_option("--model", options->models,
+                  "model bundles: files, or names in deploy/models; none: the baseline only");
+  app->add_option("--sequences", options->evaluation.sequences, "names of sequences (default: the split 'test')");
+  app->add_option("--frames", options->evaluation.frames, "the first FRAMES of each sequence only")
+      ->check(positive_number());
+  app->add_flag("--json", options->json, "one JSON object: method -> metric -> value");
+  app->add_option("--logs", options->logs, "folder for the services' logs")->capture_default_str();
+  app->add_option("--coordinator", options->coordinator,
+                  "address of a running coordinator (default: start all services)");
+  app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
+      ->capture_default_str()
+      ->check(positive_number());
+  add_tls_options(*app, options->tls);
+  return {{app, [options] { return evaluate_command(*options); }}};
+}
+
+}  // namespace pleat::cli

@@ -1,0 +1,48 @@
+// `pleat export`: results as files that other tools open.
+#include <cstdio>
+
+#include "services/cli/command.hpp"
+#include "services/cli/export/export.hpp"
+#include "services/cli/progress.hpp"
+#include "services/cli/signals.hpp"
+
+namespace pleat::cli {
+namespace {
+
+struct ExportOptions {
+  std::string result, format, out, which = "enhanced";
+};
+
+int export_result(const ExportOptions& options) {
+  namespace fs = std::filesystem;
+  const ExportFormat format = parse_export_format(options.format);
+  const ExportInput input = read_export_input(options.result, options.which);
+  const fs::path folder =
+      options.out.empty() ? fs::path(options.result).parent_path() / options.format : fs::path(options.out);
+  Progress progress("frames", input.frame_count);
+  const auto files = export_frames(input, format, folder, [&progress](std::size_t done) {
+    progress.update(done);
+    if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted after " + std::to_string(done) + " frames");
+  });
+  progress.finish();
+  for (const fs::path& file : files) std::printf("%s\n", file.c_str());
+  return kExitDone;
+}
+
+}  // namespace
+
+std::vector<Command> add_export(CLI::App& root) {
+  CLI::App* app = root.add_subcommand("export", "write a result as files that other tools open");
+  const auto options = std::make_shared<ExportOptions>();
+  app->add_option("result", options->result, "result.h5, finished or .partial")->required();
+  app->add_option("--format", options->format, "obj, ply (a file a frame), pc2, mdd (point cache and OBJ), usda")
+      ->required()
+      ->check(CLI::IsMember({"obj", "ply", "pc2", "mdd", "usda"}));
+  app->add_option("--out", options->out, "folder (default: one named after the format, beside the result)");
+  app->add_option("--which", options->which, "which mesh; fine is the simulated reference")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"enhanced", "coarse", "fine"}));
+  return {{app, [options] { return export_result(*options); }}};
+}
+
+}  // namespace pleat::cli

@@ -1,0 +1,175 @@
+// `pleat up` with services that only answer health checks: starting, stopping, and never leaving a process behind.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <fstream>
+#include <thread>
+
+#include "tests/unit/services/cli/executable.hpp"
+
+namespace pleat::cli::test {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+class LauncherTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
+    ASSERT_NE(::mkdtemp(name.data()), nullptr);
+    folder_ = name;
+    fs::create_directories(folder_ / "bin");
+    fs::create_directories(folder_ / "run");
+    fs::create_directories(folder_ / "models");
+    fs::copy(built("pleat"), folder_ / "bin" / "pleat");
+    const fs::path fake = built("pleat").parent_path().parent_path() / "tests" / "fake_service";
+    for (const char* service : {"simulation", "conversion", "superres", "refinement", "coordinator"})
+      fs::create_symlink(fake, folder_ / "bin" / (std::string("pleat-") + service));
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  std::vector<std::string> up(const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> arguments{"up", "--data", (folder_ / "data").string(), "--models",
+                                       (folder_ / "models").string()};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  }
+  std::map<std::string, std::string> environment() const { return {{"XDG_RUNTIME_DIR", (folder_ / "run").string()}}; }
+  fs::path pleat() const { return folder_ / "bin" / "pleat"; }
+  fs::path output() const { return folder_ / "up"; }
+
+  std::size_t private_folders() const {
+    return static_cast<std::size_t>(std::distance(fs::directory_iterator(folder_ / "run"), fs::directory_iterator()));
+  }
+  /// Waits until no process of this test remains; the CTest timeout is the limit.
+  void expect_no_process_remains() const {
+    while (!processes_with(folder_.string()).empty()) std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    EXPECT_TRUE(processes_with(folder_.string()).empty());
+  }
+
+  fs::path folder_;
+};
+
+TEST_F(LauncherTest, StartsFiveServicesAndStopsThemOnInterrupt) {
+  Background program(pleat(), up(), output(), environment());
+  const std::string ready = program.wait_for_line("ready ");
+  ASSERT_THAT(ready, HasSubstr("unix:"));
+  EXPECT_EQ(processes_with(folder_.string()).size(), 6u);
+  EXPECT_EQ(private_folders(), 1u);
+  program.send(SIGINT);
+  const Outcome outcome = program.wait();
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.err;
+  for (const char* service : {"simulation", "conversion", "superres", "refinement", "coordinator"}) {
+    EXPECT_THAT(outcome.out, HasSubstr(service));
+    EXPECT_TRUE(fs::exists(folder_ / "data" / "logs" / (std::string(service) + ".log"))) << service;
+  }
+  expect_no_process_remains();
+  EXPECT_EQ(private_folders(), 0u);
+}
+
+TEST_F(LauncherTest, StopsOnTermination) {
+  Background program(pleat(), up(), output(), environment());
+  ASSERT_NE(program.wait_for_line("ready "), "");
+  program.send(SIGTERM);
+  EXPECT_EQ(program.wait().exit_code, 0);
+  expect_no_process_remains();
+  EXPECT_EQ(private_folders(), 0u);
+}
+
+TEST_F(LauncherTest, LeavesNoProcessWhenKilled) {
+  Background program(pleat(), up(), output(), environment());
+  ASSERT_NE(program.wait_for_line("ready "), "");
+  program.send(SIGKILL);
+  EXPECT_EQ(program.wait().exit_code, 128 + SIGKILL);
+  expect_no_process_remains();
+}
+
+TEST_F(LauncherTest, LeavesNoProcessWhenKilledWhileStarting) {
+  Background program(pleat(), up(), output(), environment());
+  while (processes_with((folder_ / "bin" / "pleat-simulation").string()).empty())
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  program.send(SIGKILL);
+  EXPECT_EQ(program.wait().exit_code, 128 + SIGKILL);
+  expect_no_process_remains();
+}
+
+TEST_F(LauncherTest, StartsAServiceAgainThatWasKilled) {
+  Background program(pleat(), up(), output(), environment());
+  ASSERT_NE(program.wait_for_line("ready "), "");
+  const std::string refinement = (folder_ / "bin" / "pleat-refinement").string();
+  const pid_t first = processes_with(refinement).at(0);
+  ::kill(first, SIGKILL);
+  while (true) {
+    const auto now = processes_with(refinement);
+    if (now.size() == 1 && now[0] != first) break;
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  program.send(SIGINT);
+  const Outcome outcome = program.wait();
+  EXPECT_EQ(outcome.exit_code, 0);
+  EXPECT_THAT(outcome.err, HasSubstr("refinement ended (signal 9)"));
+  expect_no_process_remains();
+}
+
+TEST_F(LauncherTest, ShowsWhyAServiceEndedAtStart) {
+  auto variables = environment();
+  variables["FAKE_SERVICE_FAILS"] = "superres";
+  const Outcome outcome = run(pleat(), up(), output(), variables);
+  EXPECT_EQ(outcome.exit_code, 1);
+  ASSERT_EQ(outcome.error_lines().size(), 1u) << outcome.err;
+  EXPECT_THAT(outcome.err, HasSubstr("superres"));
+  EXPECT_THAT(outcome.err, HasSubstr("bundle.pt: truncated on purpose"));
+  expect_no_process_remains();
+  EXPECT_EQ(private_folders(), 0u);
+}
+
+TEST_F(LauncherTest, NamesAMissingService) {
+  fs::remove(folder_ / "bin" / "pleat-conversion");
+  const Outcome outcome = run(pleat(), up(), output(), environment());
+  EXPECT_NE(outcome.exit_code, 0);
+  ASSERT_EQ(outcome.error_lines().size(), 1u) << outcome.err;
+  EXPECT_THAT(outcome.err, HasSubstr("pleat-conversion"));
+  expect_no_process_remains();
+}
+
+TEST_F(LauncherTest, NamesATakenPort) {
+  const int taken = ::socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  ASSERT_EQ(::bind(taken, reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
+  ASSERT_EQ(::listen(taken, 1), 0);
+  socklen_t size = sizeof address;
+  ASSERT_EQ(::getsockname(taken, reinterpret_cast<sockaddr*>(&address), &size), 0);
+  const std::string listen = "127.0.0.1:" + std::to_string(ntohs(address.sin_port));
+  const Outcome outcome = run(pleat(), up({"--listen", listen}), output(), environment());
+  ::close(taken);
+  EXPECT_EQ(outcome.exit_code, 1);
+  ASSERT_EQ(outcome.error_lines().size(), 1u) << outcome.err;
+  EXPECT_THAT(outcome.err, HasSubstr(listen));
+  expect_no_process_remains();
+}
+
+TEST_F(LauncherTest, FindsAFreePort) {
+  Background program(pleat(), up({"--listen", "127.0.0.1:0"}), output(), environment());
+  const std::string ready = program.wait_for_line("ready ");
+  ASSERT_THAT(ready, testing::MatchesRegex("ready 127\\.0\\.0\\.1:[1-9][0-9]*"));
+  const Outcome health =
+      run(pleat(), {"health", ready.substr(6), "pleat.v1.Coordinator", "--timeout", "10"}, folder_ / "health");
+  EXPECT_EQ(health.exit_code, 0) << health.err;
+  const Outcome other =
+      run(pleat(), {"health", ready.substr(6), "pleat.v1.Refinement", "--timeout", "0.5"}, folder_ / "health");
+  EXPECT_EQ(other.exit_code, 1);
+  EXPECT_THAT(other.err, HasSubstr("pleat.v1.Refinement"));
+  program.send(SIGINT);
+  EXPECT_EQ(program.wait().exit_code, 0);
+}
+
+}  // namespace
+}  // namespace pleat::cli::test
