@@ -1,0 +1,131 @@
+#include "common/mesh/bvh.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <random>
+
+#include "common/base/error.hpp"
+
+namespace pleat {
+namespace {
+
+std::vector<Box> random_boxes(std::size_t count, double size, unsigned seed) {
+  std::mt19937 engine(seed);
+  std::uniform_real_distribution<double> position(-1, 1), extent(0, size);
+  std::vector<Box> boxes(count);
+  for (Box& box : boxes) {
+    const Eigen::Vector3d p(position(engine), position(engine), position(engine));
+    box.extend(p);
+    box.extend(p + Eigen::Vector3d(extent(engine), extent(engine), extent(engine)));
+  }
+  return boxes;
+}
+
+std::vector<Bvh::Pair> brute_force(const std::vector<Box>& boxes) {
+  std::vector<Bvh::Pair> pairs;
+  for (std::uint32_t i = 0; i < boxes.size(); ++i) {
+    for (std::uint32_t j = i + 1; j < boxes.size(); ++j) {
+      if (boxes[i].overlaps(boxes[j])) pairs.push_back({i, j});
+    }
+  }
+  return pairs;
+}
+
+std::vector<Bvh::Pair> sorted(std::vector<Bvh::Pair> pairs) {
+  std::sort(pairs.begin(), pairs.end());
+  return pairs;
+}
+
+TEST(Box, ContainsItsPointsAfterRounding) {
+  std::mt19937 engine(1);
+  std::uniform_real_distribution<double> position(-100, 100);
+  for (int i = 0; i < 1000; ++i) {
+    const Eigen::Vector3d p(position(engine), 1e-12 * position(engine), 1e6 * position(engine));
+    Box box;
+    box.extend(p);
+    for (int k = 0; k < 3; ++k) {
+      EXPECT_LE(static_cast<double>(box.lower[k]), p[k]);
+      EXPECT_GE(static_cast<double>(box.upper[k]), p[k]);
+    }
+  }
+}
+
+TEST(Box, OverlapsInEveryAxisOrNotAtAll) {
+  Box a;
+  a.extend(Eigen::Vector3d::Zero());
+  a.extend(Eigen::Vector3d::Ones());
+  for (int axis = 0; axis < 3; ++axis) {
+    Box b = a;
+    EXPECT_TRUE(a.overlaps(b));
+    b.lower[axis] += 2;
+    b.upper[axis] += 2;
+    EXPECT_FALSE(a.overlaps(b));
+    EXPECT_FALSE(b.overlaps(a));
+  }
+}
+
+TEST(Bvh, SelfPairsAgreeWithBruteForce) {
+  for (const std::size_t count : {1u, 2u, 3u, 17u, 800u}) {
+    const auto boxes = random_boxes(count, 0.2, static_cast<unsigned>(count));
+    const Bvh bvh(boxes);
+    EXPECT_EQ(sorted(bvh.self_pairs()), brute_force(boxes));
+    std::vector<Bvh::Pair> visited;
+    EXPECT_TRUE(bvh.visit_self_pairs([&](std::uint32_t i, std::uint32_t j) {
+      visited.push_back({i, j});
+      return true;
+    }));
+    EXPECT_EQ(sorted(visited), brute_force(boxes));
+  }
+}
+
+TEST(Bvh, RefitFollowsMovedBoxes) {
+  Bvh bvh(random_boxes(500, 0.1, 3));
+  const auto moved = random_boxes(500, 0.3, 4);  // a tree built for other places must still be right
+  bvh.refit(moved);
+  EXPECT_EQ(sorted(bvh.self_pairs()), brute_force(moved));
+  EXPECT_THROW(bvh.refit(std::span(moved).first(499)), Error);
+}
+
+TEST(Bvh, PairsOfTwoHierarchiesAndQueries) {
+  const auto a = random_boxes(300, 0.2, 5), b = random_boxes(200, 0.2, 6);
+  const Bvh bvh_a(a), bvh_b(b);
+  std::vector<Bvh::Pair> expected;
+  for (std::uint32_t i = 0; i < a.size(); ++i) {
+    std::vector<std::uint32_t> found, near;
+    bvh_b.query(a[i], [&](std::uint32_t j) { found.push_back(j); });
+    for (std::uint32_t j = 0; j < b.size(); ++j) {
+      if (!a[i].overlaps(b[j])) continue;
+      expected.push_back({i, j});
+      near.push_back(j);
+    }
+    std::sort(found.begin(), found.end());
+    EXPECT_EQ(found, near);
+  }
+  EXPECT_EQ(sorted(bvh_a.pairs(bvh_b)), expected);
+  EXPECT_TRUE(Bvh().pairs(bvh_a).empty());
+  EXPECT_TRUE(Bvh().self_pairs().empty());
+}
+
+TEST(Bvh, OrderDoesNotDependOnThreads) {
+  const auto boxes = random_boxes(5000, 0.1, 8);
+  const Bvh bvh(boxes);
+  ThreadPool one(1), three(3);
+  const auto expected = bvh.self_pairs();
+  EXPECT_EQ(bvh.self_pairs(&one), expected);
+  EXPECT_EQ(bvh.self_pairs(&three), expected);
+}
+
+TEST(Bvh, LimitsThePairsOfACollapsedMesh) {
+  const std::vector<Box> boxes(3000, random_boxes(1, 0.5, 1)[0]);
+  const Bvh bvh(boxes);
+  try {
+    bvh.self_pairs(nullptr, 10000);
+    FAIL() << "expected an error";
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kResourceExhausted);
+  }
+}
+
+}  // namespace
+}  // namespace pleat

@@ -1,0 +1,263 @@
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <thread>
+
+#include "tests/unit/common/rpc/sample_service.hpp"
+
+namespace pleat::rpc {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::SampleRefinement;
+using testing::SampleSimulation;
+using RefineStream = FrameStream<v1::RefineRequest, v1::RefineResponse>;
+
+ServerOptions local_options(const std::string& name) {
+  ServerOptions options;
+  options.listen = "unix:/tmp/pleat-test-" + name + "-" + std::to_string(getpid()) + ".sock";
+  options.drain_s = 0.2;
+  return options;
+}
+
+class Stream : public ::testing::Test {
+ protected:
+  void serve(std::size_t concurrency = 1) {
+    service = std::make_unique<SampleRefinement>(&metrics, concurrency);
+    server = std::make_unique<Server>(
+        local_options("stream"),
+        std::vector<HostedService>{{service.get(), "pleat.v1.Refinement"}, {&simulation, "pleat.v1.Simulation"}});
+    stub = v1::Refinement::NewStub(create_channel(server->address()));
+  }
+  std::unique_ptr<RefineStream> start(std::uint32_t window = 4, std::chrono::milliseconds timeout = 20s) {
+    FrameStreamOptions options;
+    options.peer = "refinement at here";
+    options.window = window;
+    options.frame_timeout = timeout;
+    return std::make_unique<RefineStream>([&](grpc::ClientContext* context) { return stub->Refine(context); }, options);
+  }
+  static v1::RefineRequest open_request(std::uint32_t window, const std::string& hash = "mesh") {
+    v1::RefineRequest request;
+    request.mutable_open()->set_window(window);
+    request.mutable_open()->mutable_coarse()->set_hash(hash);
+    return request;
+  }
+  static v1::RefineRequest frame_request(std::uint64_t index, int values = 30) {
+    v1::RefineRequest request;
+    request.mutable_frame()->mutable_coarse()->set_index(index);
+    for (int i = 0; i < values; ++i) {
+      request.mutable_frame()->mutable_fine()->add_positions(static_cast<float>(index) + static_cast<float>(i));
+    }
+    return request;
+  }
+  template <typename Action>
+  static ErrorCode code_of(Action&& action, const std::string& part) {
+    try {
+      action();
+    } catch (const Error& error) {
+      EXPECT_NE(std::string(error.what()).find(part), std::string::npos) << error.what();
+      return error.code();
+    }
+    ADD_FAILURE() << "no error";
+    return ErrorCode::kInternal;
+  }
+  void expect_no_sessions() {
+    for (int i = 0; i < 500 && service->sessions_ > 0; ++i) std::this_thread::sleep_for(10ms);
+    EXPECT_EQ(service->sessions_, 0);
+  }
+
+  telemetry::Metrics metrics{"refinement"};
+  std::unique_ptr<SampleRefinement> service;
+  SampleSimulation simulation;
+  std::unique_ptr<Server> server;
+  std::unique_ptr<v1::Refinement::Stub> stub;
+};
+
+class StreamOrder : public Stream, public ::testing::WithParamInterface<std::pair<std::uint32_t, std::size_t>> {};
+
+TEST_P(StreamOrder, AnswersComeInOrderEachOnce) {
+  const auto [window, concurrency] = GetParam();
+  serve(concurrency);
+  auto stream = start(window);
+  EXPECT_EQ(stream->open(open_request(window)).fine_hash(), "fine of mesh");
+  constexpr std::uint64_t kFrames = 200;
+  std::thread producer([&] {
+    for (std::uint64_t k = 0; k < kFrames; ++k) stream->push(frame_request(k, static_cast<int>(k % 50)));
+    stream->close();
+  });
+  v1::RefineResponse response;
+  std::uint64_t next = 0;
+  while (stream->pop(&response)) {
+    ASSERT_TRUE(response.has_frame());
+    EXPECT_EQ(response.frame().fine().index(), next);
+    EXPECT_EQ(response.frame().fine().positions_size(), static_cast<int>(next % 50)) << "messages are reused";
+    ASSERT_EQ(response.frame().stage_times_size(), 1);
+    EXPECT_EQ(response.frame().stage_times(0).stage(), "refinement");
+    ++next;
+  }
+  producer.join();
+  EXPECT_EQ(next, kFrames);
+  EXPECT_NE(metrics.text().find("pleat_frames_total{result=\"ok\",service=\"refinement\",stage=\"refinement\"} 200"),
+            std::string::npos)
+      << metrics.text();
+  expect_no_sessions();
+}
+
+INSTANTIATE_TEST_SUITE_P(Windows, StreamOrder,
+                         ::testing::Values(std::pair{1u, std::size_t{1}}, std::pair{4u, std::size_t{1}},
+                                           std::pair{16u, std::size_t{4}}, std::pair{64u, std::size_t{8}}));
+
+TEST_F(Stream, TryPushRefusesWhenTheWindowIsFull) {
+  serve();
+  auto stream = start(3);
+  stream->open(open_request(3));
+  EXPECT_TRUE(stream->try_push(frame_request(0)));
+  EXPECT_TRUE(stream->try_push(frame_request(1)));
+  EXPECT_TRUE(stream->try_push(frame_request(2)));
+  EXPECT_FALSE(stream->try_push(frame_request(3)));
+  EXPECT_EQ(stream->in_flight(), 3u);
+  v1::RefineResponse response;
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_TRUE(stream->try_push(frame_request(3)));
+}
+
+TEST_F(Stream, AFrameThatFailsKeepsTheStream) {
+  serve();
+  auto stream = start();
+  stream->open(open_request(4));
+  v1::RefineResponse response;
+  stream->push(frame_request(SampleRefinement::kBadFrame));
+  stream->push(frame_request(SampleRefinement::kThrowingFrame));
+  stream->push(frame_request(7));
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_EQ(response.error().index(), SampleRefinement::kBadFrame);
+  EXPECT_EQ(response.error().code(), static_cast<int>(grpc::StatusCode::INVALID_ARGUMENT));
+  EXPECT_EQ(response.error().message(), "frame 1000000: bad");
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_EQ(response.error().code(), static_cast<int>(grpc::StatusCode::INTERNAL));
+  EXPECT_EQ(response.error().message(), "an unexpected failure");
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_EQ(response.frame().fine().index(), 7u);
+  stream->close();
+  EXPECT_FALSE(stream->pop(&response));
+}
+
+TEST_F(Stream, OpenErrorsEndTheStreamWithTheirCause) {
+  serve();
+  EXPECT_EQ(code_of([&] { start()->open(open_request(4, "bad")); }, "open.coarse: bad"), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(code_of([&] { start()->open(open_request(65)); }, "window"), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(code_of([&] { start()->open(frame_request(0)); }, "`open`"), ErrorCode::kInvalidArgument);
+  expect_no_sessions();
+}
+
+TEST_F(Stream, ASecondOpenIsRefusedAfterTheFramesBefore) {
+  serve();
+  auto stream = start();
+  stream->open(open_request(4));
+  stream->push(frame_request(0));
+  stream->send(open_request(4));
+  v1::RefineResponse response;
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_EQ(response.frame().fine().index(), 0u);
+  EXPECT_EQ(code_of([&] { stream->pop(&response); }, "only frames"), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(code_of([&] { stream->push(frame_request(1)); }, "only frames"), ErrorCode::kInvalidArgument);
+}
+
+TEST_F(Stream, TooLargeMessagesAreRefused) {
+  serve();
+  auto stream = start();
+  stream->open(open_request(4));
+  v1::RefineResponse response;
+  EXPECT_EQ(code_of(
+                [&] {
+                  stream->push(frame_request(0, 17 << 20));
+                  stream->pop(&response);
+                },
+                "larger than max"),
+            ErrorCode::kResourceExhausted);
+  auto other = start();
+  other->open(open_request(4));
+  other->push(frame_request(0));
+  EXPECT_TRUE(other->pop(&response)) << "the service goes on serving";
+}
+
+TEST_F(Stream, TheWatchdogEndsAStuckStream) {
+  serve();
+  auto stream = start(4, 150ms);
+  stream->open(open_request(4));
+  stream->push(frame_request(SampleRefinement::kStuckFrame));
+  v1::RefineResponse response;
+  EXPECT_EQ(code_of([&] { stream->pop(&response); }, "refinement at here: no answer within 150 ms"),
+            ErrorCode::kDeadlineExceeded);
+  expect_no_sessions();
+}
+
+TEST_F(Stream, CancelFreesBothSides) {
+  serve();
+  auto stream = start();
+  stream->open(open_request(4));
+  stream->push(frame_request(SampleRefinement::kStuckFrame));
+  std::thread canceller([&] {
+    std::this_thread::sleep_for(50ms);
+    stream->cancel();
+  });
+  v1::RefineResponse response;
+  EXPECT_EQ(code_of([&] { stream->pop(&response); }, "cancelled"), ErrorCode::kCancelled);
+  canceller.join();
+  expect_no_sessions();
+}
+
+TEST_F(Stream, AClientThatDisappearsFreesTheSession) {
+  serve();
+  {
+    auto stream = start();
+    stream->open(open_request(4));
+    stream->push(frame_request(0));
+    stream->push(frame_request(SampleRefinement::kStuckFrame));
+  }
+  expect_no_sessions();
+}
+
+TEST_F(Stream, AServerThatStopsIsUnavailable) {
+  serve();
+  auto stream = start();
+  stream->open(open_request(4));
+  server->stop();
+  v1::RefineResponse response;
+  EXPECT_EQ(code_of([&] { stream->pop(&response); }, "refinement at here"), ErrorCode::kUnavailable);
+  EXPECT_EQ(code_of([&] { stream->push(frame_request(0)); }, "refinement at here"), ErrorCode::kUnavailable);
+  EXPECT_EQ(code_of([&] { start()->open(open_request(4)); }, "refinement at here"), ErrorCode::kUnavailable);
+}
+
+TEST_F(Stream, TheClientPacesAServerThatDrives) {
+  serve();
+  const auto simulation_stub = v1::Simulation::NewStub(create_channel(server->address()));
+  FrameStreamOptions options;
+  options.peer = "simulation at here";
+  options.server_driven = true;
+  FrameStream<v1::SimulateRequest, v1::SimulateResponse> stream(
+      [&](grpc::ClientContext* context) { return simulation_stub->Simulate(context); }, options);
+  v1::SimulateRequest request;
+  request.mutable_open()->set_window(3);
+  request.mutable_open()->mutable_scene()->set_frames(20);
+  request.mutable_open()->set_checkpoint("12345");
+  EXPECT_EQ(stream.open(request).next_index(), 5u);
+  v1::SimulateResponse response;
+  for (std::uint64_t k = 5; k < 8; ++k) {
+    ASSERT_TRUE(stream.pop(&response));
+    EXPECT_EQ(response.frame().coarse().index(), k);
+  }
+  std::this_thread::sleep_for(50ms);
+  EXPECT_EQ(simulation.sent_, 8u) << "nothing is acknowledged, so nothing more may be sent";
+  for (std::uint64_t k = 8; k < 20; ++k) {
+    request.set_ack_index(k - 3);
+    stream.send(request);
+    ASSERT_TRUE(stream.pop(&response));
+    EXPECT_EQ(response.frame().coarse().index(), k);
+  }
+  stream.close();
+  EXPECT_FALSE(stream.pop(&response));
+}
+
+}  // namespace
+}  // namespace pleat::rpc
