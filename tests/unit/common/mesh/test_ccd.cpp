@@ -57,7 +57,9 @@ bool meets(const Quad& start, const Quad& end, const Distance& distance) {
 double vertex_face_distance(const Quad& x) {
   return std::sqrt(closest_vertex_face(x[0], x[1], x[2], x[3]).squared_distance);
 }
-double edge_edge_distance(const Quad& x) { return std::sqrt(closest_edge_edge(x[0], x[1], x[2], x[3]).squared_distance); }
+double edge_edge_distance(const Quad& x) {
+  return std::sqrt(closest_edge_edge(x[0], x[1], x[2], x[3]).squared_distance);
+}
 
 struct Counts {
   int hits = 0, misses = 0, false_negatives = 0, early = 0;

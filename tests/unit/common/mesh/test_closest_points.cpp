@@ -70,10 +70,10 @@ TEST(ClosestPoints, EdgeEdgeAgreesWithSampling) {
   Random random;
   for (int i = 0; i < 4000; ++i) {
     std::array<Vec3, 4> x{random.point(), random.point(), random.point(), random.point()};
-    if (i % 4 == 0) x[3] = x[2] + random.in(-1, 1) * (x[1] - x[0]);                           // parallel
-    if (i % 8 == 1) x[3] = x[2] + (x[1] - x[0]) + 1e-7 * random.point();                      // nearly
-    if (i % 16 == 2) x[3] = x[2];                                                             // no length
-    if (i % 16 == 10) x[2] = x[0] + 0.3 * (x[1] - x[0]), x[3] = x[0] + 2 * (x[1] - x[0]);      // collinear, overlapping
+    if (i % 4 == 0) x[3] = x[2] + random.in(-1, 1) * (x[1] - x[0]);                        // parallel
+    if (i % 8 == 1) x[3] = x[2] + (x[1] - x[0]) + 1e-7 * random.point();                   // nearly
+    if (i % 16 == 2) x[3] = x[2];                                                          // no length
+    if (i % 16 == 10) x[2] = x[0] + 0.3 * (x[1] - x[0]), x[3] = x[0] + 2 * (x[1] - x[0]);  // collinear, overlapping
     const ClosestPoints points = closest_edge_edge(x[0], x[1], x[2], x[3]);
     expect_consistent(points, x);
     const double sampled = sampled_edge_edge(x[0], x[1], x[2], x[3]);

@@ -52,7 +52,12 @@ TEST(Mesh, RefusesUnusableTopologies) {
   expect_refused([](Topology& t) { t.faces(0, 1) = 0; }, "repeats vertex 0");
   expect_refused([](Topology& t) { t.uv_faces.conservativeResize(1, 3); }, "material coordinates");
   expect_refused([](Topology& t) { t.uv.resize(0, 2); }, "material coordinates");
-  expect_refused([](Topology& t) { t.faces.row(1) << 2, 0, 3; t.faces.row(0) << 2, 0, 1; }, "oriented differently");
+  expect_refused(
+      [](Topology& t) {
+        t.faces.row(1) << 2, 0, 3;
+        t.faces.row(0) << 2, 0, 1;
+      },
+      "oriented differently");
   expect_refused(
       [](Topology& t) {
         t.rest_positions.conservativeResize(5, 3);

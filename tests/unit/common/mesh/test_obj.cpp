@@ -38,14 +38,16 @@ TEST(Obj, ReadsEveryFormOfCorner) {
     const Topology t = read(std::string(kTriangle) + "vt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n" + face + "\n");
     ASSERT_EQ(t.face_count(), 1) << face;
     EXPECT_EQ(t.faces.row(0), (Eigen::Matrix<std::uint32_t, 1, 3>(0, 1, 2))) << face;
-    const bool with_uv = std::string(face).find("/1") != std::string::npos && std::string(face).find("//") == std::string::npos;
+    const bool with_uv =
+        std::string(face).find("/1") != std::string::npos && std::string(face).find("//") == std::string::npos;
     EXPECT_EQ(t.uv_faces.rows(), with_uv ? 1 : 0) << face;
   }
 }
 
 TEST(Obj, KeepsSeamsApart) {
-  const Topology t = read("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 5 5\nvt 6 6\nvt 5 6\n"
-                          "f 1/1 2/2 3/3\nf 1/4 3/5 4/6\n");
+  const Topology t = read(
+      "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 5 5\nvt 6 6\nvt 5 6\n"
+      "f 1/1 2/2 3/3\nf 1/4 3/5 4/6\n");
   EXPECT_EQ(t.vertex_count(), 4);
   EXPECT_EQ(t.uv.rows(), 6);
   EXPECT_EQ(t.uv_faces.row(1), (Eigen::Matrix<std::uint32_t, 1, 3>(3, 4, 5)));
@@ -58,7 +60,8 @@ TEST(Obj, TriangulatesPolygonsAsFans) {
 }
 
 TEST(Obj, IgnoresWhatItDoesNotKnow) {
-  const Topology t = read("# comment\r\nmtllib a.mtl\no thing\n\n   \nv 0 0 0 1.0\nv +1 0 0\nv 0 1e0 0\ns off\r\nf 1 2 3\r\n");
+  const Topology t =
+      read("# comment\r\nmtllib a.mtl\no thing\n\n   \nv 0 0 0 1.0\nv +1 0 0\nv 0 1e0 0\ns off\r\nf 1 2 3\r\n");
   EXPECT_EQ(t.vertex_count(), 3);
   EXPECT_EQ(t.rest_positions(1, 0), 1.0f);
 }

@@ -13,7 +13,9 @@
 namespace pleat {
 namespace {
 
-Topology garment(const std::string& name) { return read_obj(std::filesystem::path("deploy/garments") / (name + ".obj")); }
+Topology garment(const std::string& name) {
+  return read_obj(std::filesystem::path("deploy/garments") / (name + ".obj"));
+}
 
 double total_area(const Positions& x, const Faces& f) {
   double area = 0;
@@ -37,9 +39,11 @@ TEST(Subdivision, KeepsTheSurface) {
       const Subdivision s = subdivide(coarse, rounds);
       EXPECT_NO_THROW(validate_topology(s.fine, name));
       EXPECT_NO_THROW(validate_material_coordinates(s.fine, name));
-      EXPECT_NEAR(total_area(s.fine.rest_positions, s.fine.faces), total_area(coarse.rest_positions, coarse.faces), 1e-4);
+      EXPECT_NEAR(total_area(s.fine.rest_positions, s.fine.faces), total_area(coarse.rest_positions, coarse.faces),
+                  1e-4);
       for (std::size_t v = 0; v < s.feature_vertices.size(); ++v) {
-        EXPECT_EQ(s.fine.rest_positions.row(s.feature_vertices[v]), coarse.rest_positions.row(static_cast<Eigen::Index>(v)));
+        EXPECT_EQ(s.fine.rest_positions.row(s.feature_vertices[v]),
+                  coarse.rest_positions.row(static_cast<Eigen::Index>(v)));
       }
     }
   }
@@ -63,11 +67,12 @@ TEST(Subdivision, ChildrenOfAFaceAreConsecutive) {
   // Every fine face lies in the coarse face of its number: its corners have weights on that face's corners only.
   const Positions upsampled = upsample(s, coarse.faces, coarse.rest_positions);
   for (Eigen::Index f = 0; f < s.fine.face_count(); f += 97) {
-    const Eigen::RowVector3f center = (upsampled.row(s.fine.faces(f, 0)) + upsampled.row(s.fine.faces(f, 1)) +
-                                       upsampled.row(s.fine.faces(f, 2))) / 3;
+    const Eigen::RowVector3f center =
+        (upsampled.row(s.fine.faces(f, 0)) + upsampled.row(s.fine.faces(f, 1)) + upsampled.row(s.fine.faces(f, 2))) / 3;
     const auto corners = coarse.faces.row(f / 16);
     const Eigen::RowVector3f parent = (coarse.rest_positions.row(corners(0)) + coarse.rest_positions.row(corners(1)) +
-                                       coarse.rest_positions.row(corners(2))) / 3;
+                                       coarse.rest_positions.row(corners(2))) /
+                                      3;
     EXPECT_LT((center - parent).norm(), 0.05f);
   }
 }
