@@ -13,8 +13,6 @@
 namespace pleat {
 namespace {
 
-constexpr std::int64_t kMaxFineTexels = 16ll << 20;
-
 using Features = Eigen::Matrix<float, Eigen::Dynamic, kImageChannels, Eigen::RowMajor>;
 
 // Sparse rows: value of output i = sum of weights times inputs.
@@ -246,10 +244,10 @@ ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec
   m.spec = resolve_size(spec, box, fine);
   const std::int64_t width = static_cast<std::int64_t>(m.spec.coarse_width) * m.spec.scale;
   const std::int64_t height = static_cast<std::int64_t>(m.spec.coarse_height) * m.spec.scale;
-  if (width > kMaxFineTexels || height > kMaxFineTexels || width * height > kMaxFineTexels) {
+  if (width > spec.max_fine_texels || height > spec.max_fine_texels || width * height > spec.max_fine_texels) {
     throw Error(ErrorCode::kResourceExhausted, "image spec: a fine image of " + std::to_string(width) + " x " +
                                                    std::to_string(height) + " texels is more than " +
-                                                   std::to_string(kMaxFineTexels));
+                                                   std::to_string(spec.max_fine_texels));
   }
   TexelGrid& grid = m.fine_grid;
   grid = {static_cast<int>(width),

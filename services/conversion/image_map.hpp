@@ -35,7 +35,8 @@ struct ImageSpec {
   int coarse_height = 0;              ///< texels; set with coarse_width or not at all
   int scale = 4;                      ///< fine size over coarse size, 1 to 16
   FineImageMethod method = FineImageMethod::kFitted;
-  double lambda = 1e-4;  ///< weight of the second differences of kFitted, > 0
+  double lambda = 1e-4;                       ///< weight of the second differences of kFitted, > 0
+  std::int64_t max_fine_texels = 16ll << 20;  ///< more are refused before anything is built
 };
 
 /// A coarse frame as an image, with the alignment that its fine frame needs.
@@ -50,7 +51,8 @@ class ImageMap {
  public:
   /// coarse, fine: both with material coordinates in the same space; fine need not be a subdivision of coarse.
   /// Throws kInvalidArgument (unusable topology; material coordinates absent, folded or overlapping; a spec out of
-  /// range; an image too small for a chart), kResourceExhausted (more than 16 M fine texels).
+  /// range; an image too small for a chart), kResourceExhausted (more than
+  /// spec.max_fine_texels).
   ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec& spec = {});
   ~ImageMap();
   ImageMap(ImageMap&&) noexcept;

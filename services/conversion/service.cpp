@@ -62,8 +62,7 @@ ImageSpec spec_from(const v1::ConversionSetup& setup, std::int64_t max_texels) {
   if (setup.texels_per_fine_vertex() != 0)
     spec.texels_per_fine_vertex = static_cast<double>(setup.texels_per_fine_vertex());
   if (setup.scale() != 0) spec.scale = extent(setup.scale());
-  const double texels = static_cast<double>(spec.coarse_width) * spec.coarse_height * spec.scale * spec.scale;
-  check_size(texels, max_texels, "open.setup: texels of the fine image");
+  spec.max_fine_texels = max_texels;
   return spec;
 }
 
@@ -87,8 +86,6 @@ std::shared_ptr<Session> open_session(const v1::ConversionSetup& setup, const Se
   check_size(static_cast<double>(session->fine.vertex_count()), options.max_vertices,
              "open.setup.fine: vertices of the fine mesh");
   session->map = std::make_unique<ImageMap>(coarse, session->fine, spec);
-  check_size(static_cast<double>(session->map->fine_width()) * session->map->fine_height(), options.max_texels,
-             "open.setup: texels of the fine image");
   spdlog::info("session: {} coarse and {} fine vertices, images of {} x {} and {} x {} texels", coarse.vertex_count(),
                session->fine.vertex_count(), session->map->coarse_width(), session->map->coarse_height(),
                session->map->fine_width(), session->map->fine_height());

@@ -1,0 +1,216 @@
+// The adapter, over a real channel.
+#include "services/conversion/service.hpp"
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <limits>
+#include <memory>
+
+#include "common/base/error.hpp"
+#include "common/frame/messages.hpp"
+#include "common/rpc/server.hpp"
+#include "common/rpc/stream.hpp"
+#include "services/conversion/image_map.hpp"
+#include "services/conversion/normalization.hpp"
+#include "tests/unit/services/conversion/wrinkled_cloth.hpp"
+
+namespace pleat::conversion {
+namespace {
+
+using ImageStream = rpc::FrameStream<v1::ToImageRequest, v1::ToImageResponse>;
+using MeshStream = rpc::FrameStream<v1::ToMeshRequest, v1::ToMeshResponse>;
+
+class ConversionServer : public testing::Test {
+ protected:
+  ConversionServer() {
+    rpc::ServerOptions options;
+    options.listen = "unix:" + testing::TempDir() + "pleat_conversion_" + std::to_string(getpid()) + ".sock";
+    server_ =
+        std::make_unique<rpc::Server>(options, std::vector<rpc::HostedService>{{&service_, "pleat.v1.Conversion"}});
+    stub_ = v1::Conversion::NewStub(rpc::create_channel(server_->address()));
+    setup_.set_coarse_width(60);
+    setup_.set_coarse_height(40);
+    *setup_.mutable_coarse() = to_message(garment_.coarse);
+  }
+
+  std::unique_ptr<ImageStream> image_stream() {
+    return std::make_unique<ImageStream>([this](auto* context) { return stub_->ToImage(context); },
+                                         rpc::FrameStreamOptions{.peer = "conversion"});
+  }
+  std::unique_ptr<MeshStream> mesh_stream() {
+    return std::make_unique<MeshStream>([this](auto* context) { return stub_->ToMesh(context); },
+                                        rpc::FrameStreamOptions{.peer = "conversion"});
+  }
+  v1::ToImageRequest image_open() const {
+    v1::ToImageRequest request;
+    *request.mutable_open()->mutable_setup() = setup_;
+    return request;
+  }
+  v1::ToMeshRequest mesh_open() const {
+    v1::ToMeshRequest request;
+    *request.mutable_open()->mutable_setup() = setup_;
+    return request;
+  }
+  template <typename Change>
+  void expect_refused(ErrorCode code, const Change& change) {
+    v1::ToImageRequest request = image_open();
+    change(*request.mutable_open()->mutable_setup());
+    const auto stream = image_stream();
+    try {
+      stream->open(request);
+      ADD_FAILURE() << "opened";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), code) << error.what();
+    }
+  }
+
+  test::Garment garment_ = test::load_garment("tablecloth");
+  telemetry::Metrics metrics_{"conversion"};
+  ConversionService service_{ServiceOptions{}, metrics_};
+  std::unique_ptr<rpc::Server> server_;
+  std::unique_ptr<v1::Conversion::Stub> stub_;
+  v1::ConversionSetup setup_;
+};
+
+TEST_F(ConversionServer, ImagesAreThoseOfTheLibraryAndNormalised) {
+  const ImageMap map(garment_.coarse, garment_.fine());
+  Frame frame = test::wrinkled_frame(garment_.coarse, 0.4f);
+  frame.index = 7;
+  frame.time_s = 0.28;
+  CoarseImage expected = map.coarse_image(frame);
+  Normalization range;
+  extend_normalization(range, expected.image);
+  range.maximum[0] -= 0.25f * (range.maximum[0] - range.minimum[0]);  // so that some values are outside
+  const std::size_t outside = normalize(expected.image, range);
+  ASSERT_GT(outside, 0u);
+  for (std::size_t c = 0; c < 9; ++c) {
+    setup_.mutable_normalization()->add_minimum(range.minimum[c]);
+    setup_.mutable_normalization()->add_maximum(range.maximum[c]);
+  }
+
+  const auto stream = image_stream();
+  const auto opened = stream->open(image_open());
+  EXPECT_EQ(opened.coarse_width(), 60u);
+  EXPECT_EQ(opened.coarse_height(), 40u);
+  EXPECT_EQ(opened.fine_width(), 240u);
+  EXPECT_EQ(opened.fine_height(), 160u);
+  v1::ToImageRequest request;
+  *request.mutable_frame() = to_message(frame);
+  stream->push(request);
+  v1::ToImageResponse response;
+  ASSERT_TRUE(stream->pop(&response));
+  ASSERT_TRUE(response.has_frame());
+  EXPECT_EQ(response.frame().index(), 7u);
+  EXPECT_EQ(response.frame().time_s(), 0.28);
+  EXPECT_EQ(response.frame().out_of_range(), outside);
+  EXPECT_EQ(from_message(response.frame().image()).values, expected.image.values);
+  EXPECT_EQ(from_message(response.frame().alignment()).rotation, expected.transform.rotation);
+  ASSERT_EQ(response.frame().stage_times_size(), 1);
+  EXPECT_EQ(response.frame().stage_times(0).stage(), "to_image");
+  stream->close();
+  EXPECT_FALSE(stream->pop(&response));
+}
+
+TEST_F(ConversionServer, AFittedImageComesBackAsTheMesh) {
+  const ImageMap map(garment_.coarse, garment_.fine());
+  const Frame coarse = test::wrinkled_frame(garment_.coarse, 0.4f), fine = test::wrinkled_frame(garment_.fine(), 0.4f);
+  const RigidTransform transform = map.align(coarse.positions);
+  Tensor image = map.fine_image(fine, transform);
+  Normalization range;
+  extend_normalization(range, image);
+  normalize(image, range);
+  for (std::size_t c = 0; c < 9; ++c) {
+    setup_.mutable_normalization()->add_minimum(range.minimum[c]);
+    setup_.mutable_normalization()->add_maximum(range.maximum[c]);
+  }
+  const auto stream = mesh_stream();
+  const auto opened = stream->open(mesh_open());
+  EXPECT_EQ(topology_hash(from_message(opened.fine())), topology_hash(garment_.fine()));
+  EXPECT_EQ(opened.feature_vertices_size(), 749);
+  for (const int channels : {9, 3}) {
+    v1::ToMeshRequest request;
+    image.values.resize(image.values.size() / static_cast<std::size_t>(image.shape[0]) *
+                        static_cast<std::size_t>(channels));
+    image.channels.resize(static_cast<std::size_t>(channels));
+    image.shape[0] = channels;
+    request.mutable_frame()->set_index(3);
+    *request.mutable_frame()->mutable_image() = to_message(image);
+    *request.mutable_frame()->mutable_alignment() = to_message(transform);
+    stream->push(request);
+    v1::ToMeshResponse response;
+    ASSERT_TRUE(stream->pop(&response));
+    ASSERT_TRUE(response.has_frame());
+    EXPECT_EQ(response.frame().fine().index(), 3u);
+    const Positions back = positions_from_message(response.frame().fine());
+    EXPECT_LT(test::rms(back, fine.positions), 1e-6);
+  }
+}
+
+TEST_F(ConversionServer, ABadFrameIsAnsweredAndTheStreamGoesOn) {
+  const auto stream = image_stream();
+  stream->open(image_open());
+  Frame frame = test::wrinkled_frame(garment_.coarse, 0.1f);
+  v1::ToImageRequest good, few, infinite;
+  *good.mutable_frame() = to_message(frame);
+  good.mutable_frame()->set_index(3);
+  few = good;
+  few.mutable_frame()->set_index(1);
+  few.mutable_frame()->mutable_positions()->Truncate(30);
+  infinite = good;
+  infinite.mutable_frame()->set_index(2);
+  infinite.mutable_frame()->set_positions(5, std::numeric_limits<float>::infinity());
+  for (const auto* request : {&few, &infinite, &good}) stream->push(*request);
+  v1::ToImageResponse response;
+  for (const std::uint64_t index : {1u, 2u}) {
+    ASSERT_TRUE(stream->pop(&response));
+    ASSERT_TRUE(response.has_error());
+    EXPECT_EQ(response.error().index(), index);
+    EXPECT_EQ(response.error().code(), static_cast<int>(grpc::StatusCode::INVALID_ARGUMENT));
+  }
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_EQ(response.frame().index(), 3u);
+
+  const auto meshes = mesh_stream();
+  meshes->open(mesh_open());
+  v1::ToMeshRequest image;
+  image.mutable_frame()->set_index(5);
+  *image.mutable_frame()->mutable_image() = to_message(Tensor{{9, 4, 4}, {}, std::vector<float>(144)});
+  *image.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
+  meshes->push(image);
+  v1::ToMeshResponse answer;
+  ASSERT_TRUE(meshes->pop(&answer));
+  ASSERT_TRUE(answer.has_error());
+  EXPECT_EQ(answer.error().index(), 5u);
+}
+
+TEST_F(ConversionServer, BadSetupsAreRefused) {
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.clear_coarse(); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.mutable_coarse()->clear_uv(); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) {
+    s.mutable_coarse()->clear_uv();
+    s.mutable_coarse()->clear_uv_faces();
+    s.mutable_coarse()->clear_hash();
+  });
+  expect_refused(ErrorCode::kInvalidArgument,
+                 [](v1::ConversionSetup& s) { s.mutable_coarse()->set_hash("0123456789abcdef"); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.mutable_coarse()->set_faces(0, 999999); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.set_subdivision_rounds(6); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.set_scale(17); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.set_coarse_height(0); });
+  expect_refused(ErrorCode::kInvalidArgument,
+                 [](v1::ConversionSetup& s) { s.mutable_normalization()->add_minimum(0); });
+  expect_refused(ErrorCode::kResourceExhausted, [](v1::ConversionSetup& s) {
+    s.set_coarse_width(4'000'000'000u);
+    s.set_coarse_height(4'000'000'000u);
+  });
+  expect_refused(ErrorCode::kResourceExhausted, [](v1::ConversionSetup& s) {
+    s.set_coarse_width(0);
+    s.set_coarse_height(0);
+    s.set_texels_per_fine_vertex(900);
+  });
+  EXPECT_NO_THROW(image_stream()->open(image_open()));  // the service goes on serving
+}
+
+}  // namespace
+}  // namespace pleat::conversion
