@@ -63,7 +63,8 @@ class Outage {
   }
   /// The error to fail with: the last cause (it names service and address), and how long was tried.
   Error gave_up(const Error& cause) const {
-    return Error(ErrorCode::kUnavailable, std::string(cause.what()) + "; gave up after " + in_words(give_up_));
+    const bool full = cause.code() == ErrorCode::kResourceExhausted;
+    return Error(full ? cause.code() : ErrorCode::kUnavailable, std::string(cause.what()) + "; gave up after " + in_words(give_up_));
   }
 
  private:

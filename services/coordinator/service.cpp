@@ -34,6 +34,12 @@ LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metri
   return link;
 }
 
+JobSettings checked(JobSettings settings) {
+  if (settings.window == 0) throw_invalid_argument("--window: must lie in [1, 64]");
+  settings.window = rpc::checked_window(settings.window);
+  return settings;
+}
+
 v1::Job::State to_message(JobState state) {
   switch (state) {
     case JobState::kQueued:
@@ -56,7 +62,7 @@ v1::Job::State to_message(JobState state) {
 
 CoordinatorService::CoordinatorService(const CoordinatorOptions& options, telemetry::Metrics* metrics)
     : table_(options.data),
-      runner_(table_, addresses_of(options), link_of(options, metrics), options.jobs),
+      runner_(table_, addresses_of(options), link_of(options, metrics), checked(options.jobs)),
       live_(addresses_of(options), link_of(options, metrics), options.live) {
   for (const std::string& warning : table_.warnings()) spdlog::warn("{}", warning);
 }
