@@ -59,15 +59,59 @@ Positions checked_frame(const std::function<Positions(std::size_t)>& frame, std:
   return positions;
 }
 
-std::uint16_t zigzag(std::uint16_t difference) {
-  const auto sign = static_cast<std::uint16_t>(difference & 0x8000u ? 0xffffu : 0u);
-  return static_cast<std::uint16_t>((difference << 1) ^ sign);
+/// The difference modulo 2^16, as a signed number.
+std::int32_t wrap(std::int32_t difference) { return static_cast<std::int16_t>(static_cast<std::uint16_t>(difference)); }
+
+std::uint32_t zigzag(std::int32_t wrapped) {
+  return wrapped < 0 ? static_cast<std::uint32_t>(-2 * wrapped - 1) : static_cast<std::uint32_t>(2 * wrapped);
 }
+
+/// The earlier mates of each vertex (encode.hpp), in compressed rows.
+struct Mates {
+  std::vector<std::uint32_t> offsets;
+  std::vector<std::uint32_t> vertices;
+
+  Mates(std::size_t vertex_count, const Faces& faces) : offsets(vertex_count + 1, 0) {
+    for_each(faces, [&](std::uint32_t later, std::uint32_t) { ++offsets[later + 1]; });
+    for (std::size_t v = 0; v < vertex_count; ++v) offsets[v + 1] += offsets[v];
+    vertices.resize(offsets.back());
+    std::vector<std::uint32_t> next(offsets.begin(), offsets.end() - 1);
+    for_each(faces, [&](std::uint32_t later, std::uint32_t earlier) { vertices[next[later]++] = earlier; });
+  }
+
+  /// residuals: of this frame and axis, known below `vertex`.
+  std::int32_t predict(std::span<const std::int32_t> residuals, std::size_t vertex) const {
+    const std::uint32_t begin = offsets[vertex];
+    const auto count = static_cast<std::int32_t>(offsets[vertex + 1] - begin);
+    if (count == 0) return vertex == 0 ? 0 : residuals[vertex - 1];
+    std::int32_t sum = 0;
+    for (std::uint32_t i = begin; i < offsets[vertex + 1]; ++i) sum += residuals[vertices[i]];
+    const std::int32_t quotient = sum / count;
+    return quotient - (sum % count < 0 ? 1 : 0);
+  }
+
+ private:
+  template <class Visit>
+  static void for_each(const Faces& faces, const Visit& visit) {
+    for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+      for (Eigen::Index a = 0; a < 3; ++a) {
+        for (Eigen::Index b = 0; b < 3; ++b) {
+          if (faces(f, a) > faces(f, b)) visit(faces(f, a), faces(f, b));
+        }
+      }
+    }
+  }
+};
 
 }  // namespace
 
 QuantizedSequence quantize_sequence(const std::function<Positions(std::size_t)>& frame, std::size_t count,
-                                    std::size_t stride, Eigen::Index vertices, const std::string& name) {
+                                    std::size_t stride, Eigen::Index vertices, const Faces& faces,
+                                    const std::string& name) {
+  if (faces.size() > 0 && static_cast<Eigen::Index>(faces.maxCoeff()) >= vertices) {
+    throw_invalid_argument(name + ": a face names vertex " + std::to_string(faces.maxCoeff()) + " of " +
+                           std::to_string(vertices));
+  }
   QuantizedSequence out;
   out.vertices = static_cast<std::size_t>(vertices);
   float extent = 0;
@@ -82,24 +126,26 @@ QuantizedSequence quantize_sequence(const std::function<Positions(std::size_t)>&
   out.step = extent > 0 ? extent / 65535.0f : 1.0f;
 
   const std::size_t values = out.vertices * 3;
+  const Mates mates(out.vertices, faces);
   std::vector<std::uint8_t> planes(2 * values * out.frames);
-  std::vector<std::uint16_t> previous(values, 0);
+  std::vector<std::int32_t> before(values, 0);       // q[t-1]
+  std::vector<std::int32_t> before_that(values, 0);  // q[t-2]
+  std::vector<std::int32_t> residuals(out.vertices);
   for (std::size_t t = 0; t < out.frames; ++t) {
     const Positions positions = checked_frame(frame, t * stride, vertices, name);
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const float origin = out.origin[3 * t + axis];
-      std::uint16_t neighbour = 0;
       for (std::size_t v = 0; v < out.vertices; ++v) {
-        const float scaled =
-            (positions(static_cast<Eigen::Index>(v), static_cast<Eigen::Index>(axis)) - origin) / out.step;
-        const auto q = static_cast<std::uint16_t>(std::clamp(std::lround(scaled), 0L, 65535L));
+        const float place = positions(static_cast<Eigen::Index>(v), static_cast<Eigen::Index>(axis)) - origin;
+        const auto q = static_cast<std::int32_t>(std::clamp(std::lround(place / out.step), 0L, 65535L));
         const std::size_t slot = axis * out.vertices + v;
-        const std::uint16_t predicted = t == 0 ? neighbour : previous[slot];
-        const std::uint16_t residual = zigzag(static_cast<std::uint16_t>(q - predicted));
-        planes[t * values + slot] = static_cast<std::uint8_t>(residual);
-        planes[(out.frames + t) * values + slot] = static_cast<std::uint8_t>(residual >> 8);
-        previous[slot] = q;
-        neighbour = q;
+        const std::int32_t expected = t < 2 ? before[slot] : 2 * before[slot] - before_that[slot];
+        residuals[v] = wrap(q - expected);
+        const std::uint32_t coded = zigzag(wrap(residuals[v] - mates.predict(residuals, v)));
+        planes[t * values + slot] = static_cast<std::uint8_t>(coded);
+        planes[(out.frames + t) * values + slot] = static_cast<std::uint8_t>(coded >> 8);
+        before_that[slot] = before[slot];
+        before[slot] = q;
       }
     }
   }

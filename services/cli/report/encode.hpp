@@ -27,15 +27,18 @@ struct QuantizedSequence {
   std::size_t vertices = 0;
   float step = 0;             ///< metres; the largest extent of a frame's bounding box / 65535
   std::vector<float> origin;  ///< (T x 3) lower corner of each frame's bounding box
-  /// Residuals of q, 16-bit wrap-around, zig-zag coded (0,-1,1,-2,... -> 0,1,2,3,...), split into the plane of low
-  /// bytes and the plane of high bytes, deflated. Order frame, axis, vertex. r[0] = q[0] minus its predecessor in
-  /// vertex order, r[t] = q[t] - q[t-1] for the others: cloth moves smoothly, so that most high bytes are 0.
+  /// Residuals e of q, zig-zag coded (0,-1,1,-2,... -> 0,1,2,3,...), split into the plane of low bytes and the plane of
+  /// high bytes, deflated. Order frame, axis, vertex. All differences are taken modulo 2^16 into [-32768, 32767]:
+  ///   r[0] = q[0],  r[1] = q[1] - q[0],  r[t] = q[t] - 2 q[t-1] + q[t-2]     (smooth in time)
+  ///   e[t][v] = r[t][v] - floor(mean of r[t][u] over the earlier mates u of v)  (smooth in space)
+  /// A mate is another corner of a face at v, once per face; earlier means u < v. Without one, u = v - 1; vertex 0: 0.
   std::vector<std::uint8_t> deflated;
 };
 
 /// Quantises frames 0, stride, 2 stride, ... below `count`. Throws kInvalidArgument if a frame has another vertex count
-/// or a value is not finite; `name` is named. O(T V); holds one byte array of 6 T V bytes.
+/// or a value is not finite; `name` is named. So is a face index out of range. O(T V); holds 6 T V bytes.
 QuantizedSequence quantize_sequence(const std::function<Positions(std::size_t)>& frame, std::size_t count,
-                                    std::size_t stride, Eigen::Index vertices, const std::string& name);
+                                    std::size_t stride, Eigen::Index vertices, const Faces& faces,
+                                    const std::string& name);
 
 }  // namespace pleat

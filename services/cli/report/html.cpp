@@ -86,8 +86,8 @@ json rounded(const std::vector<double>& values) {
 
 /// Adds the frames as blob `name` and returns their description.
 json add_sequence(Payload& payload, const std::string& name, const std::function<Positions(std::size_t)>& frame,
-                  std::size_t count, std::size_t stride, Eigen::Index vertices) {
-  const QuantizedSequence sequence = quantize_sequence(frame, count, stride, vertices, name);
+                  std::size_t count, std::size_t stride, Eigen::Index vertices, const Faces& faces) {
+  const QuantizedSequence sequence = quantize_sequence(frame, count, stride, vertices, faces, name);
   payload.blobs[name] = base64(sequence.deflated);
   json origin = json::array();
   for (const float value : sequence.origin) origin.push_back(value);
@@ -116,7 +116,8 @@ json add_obstacle(Payload& payload, const ReportObstacle& obstacle, std::size_t 
   const std::string name = "obstacle" + std::to_string(index);
   const Eigen::Index vertices = count > 0 ? obstacle.at(0).positions.rows() : 0;
   out["sequence"] = add_sequence(
-      payload, name, [&](std::size_t t) { return obstacle.at(t).positions; }, count, stride, vertices);
+      payload, name, [&](std::size_t t) { return obstacle.at(t).positions; }, count, stride, vertices,
+      obstacle.shape.faces);
   out["faces"] = name + "_faces";
   add_words(payload, name + "_faces", words_of(obstacle.shape.faces));
   return out;
@@ -138,12 +139,13 @@ Payload make_payload(const ReportInput& input, const json& report, std::size_t s
   add_words(payload, "coarse_faces", words_of(input.coarse_topology.faces));
   add_words(payload, "fine_faces", words_of(input.fine_topology.faces));
   const std::size_t count = input.frame_count;
-  meta["coarse"] = add_sequence(payload, "coarse", input.coarse, count, stride, input.coarse_topology.vertex_count());
-  meta["enhanced"] =
-      add_sequence(payload, "enhanced", input.enhanced, count, stride, input.fine_topology.vertex_count());
+  meta["coarse"] = add_sequence(payload, "coarse", input.coarse, count, stride, input.coarse_topology.vertex_count(),
+                                input.coarse_topology.faces);
+  meta["enhanced"] = add_sequence(payload, "enhanced", input.enhanced, count, stride,
+                                  input.fine_topology.vertex_count(), input.fine_topology.faces);
   if (input.reference) {
-    meta["reference"] =
-        add_sequence(payload, "reference", input.reference, count, stride, input.fine_topology.vertex_count());
+    meta["reference"] = add_sequence(payload, "reference", input.reference, count, stride,
+                                     input.fine_topology.vertex_count(), input.fine_topology.faces);
   }
   if (const auto upsampling = find_upsampling(input.coarse_topology, input.fine_topology)) {
     add_words(payload, "parent_faces", upsampling->parent_face);
@@ -173,11 +175,11 @@ std::string replace_once(std::string_view text, std::string_view marker, std::st
 void write_report_html(const ReportInput& input, const std::filesystem::path& path, const ReportHtmlOptions& options) {
   if (input.frame_count == 0) throw_invalid_argument("a report needs at least one frame");
   const json report = make_report_json(input);
-  // Quantised frames deflate to a quarter at best, and base64 adds a third: a stride below this one can't fit, and
+  // Quantised frames deflate to a fifth at best, and base64 adds a third: a stride below this one can't fit, and
   // starting here bounds the memory for long results.
   const auto vertices = static_cast<double>(input.coarse_topology.vertex_count() +
                                             input.fine_topology.vertex_count() * (input.reference ? 2 : 1));
-  const double least_bytes = 6.0 * vertices * static_cast<double>(input.frame_count) / 4 * 4 / 3;
+  const double least_bytes = 6.0 * vertices * static_cast<double>(input.frame_count) / 5 * 4 / 3;
   auto stride =
       static_cast<std::size_t>(std::max(1.0, std::ceil(least_bytes / static_cast<double>(options.max_bytes))));
   const std::size_t fixed_bytes = viewer_template().size() + 1000 * input.stages.size();

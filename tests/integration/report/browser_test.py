@@ -156,7 +156,7 @@ class ReportTest(unittest.TestCase):
                 frame,
             )
             self.assertEqual(self.browser.run("return pleatReport.frame"), frame)
-            self.assertIn(f"Frame {frame} of", self.browser.run("return document.getElementById('frame').textContent"))
+            self.assertIn(f"Frame {frame} /", self.browser.run("return document.getElementById('frame').textContent"))
             seen[frame] = {view: self.picture(view) for view in ("coarse", "enhanced", "reference")}
         for view in ("coarse", "enhanced", "reference"):
             self.assertGreater(difference(seen[0][view], seen[FRAMES // 2][view]), 0.05, view)

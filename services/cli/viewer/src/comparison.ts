@@ -54,7 +54,7 @@ export class Comparison {
       this.series.set(kind, series);
       high.set(kind, percentile(perFrame, 0.9));
     }
-    const againstReference = roundUp(Math.max(high.get("enhanced") ?? 0, 0.5 * (high.get("upsampled") ?? 0)) || 0.001);
+    const againstReference = roundUp(Math.max(high.get("enhanced") ?? 0, 0.3 * (high.get("upsampled") ?? 0)) || 0.001);
     this.scale.set("enhanced", againstReference);
     this.scale.set("upsampled", againstReference);
     this.scale.set("detail", roundUp(high.get("detail") || 0.001));

@@ -96,6 +96,24 @@ export async function readFloats(name: string): Promise<Float32Array> {
   return new Float32Array((await readWords(name)).buffer);
 }
 
+/** Per vertex the corners of its faces with a smaller index, once per face, in compressed rows. */
+function earlierMates(faces: Uint32Array, vertices: number): { offsets: Uint32Array; mates: Uint32Array } {
+  const offsets = new Uint32Array(vertices + 1);
+  const visit = (action: (later: number, earlier: number) => void) => {
+    for (let f = 0; f < faces.length; f += 3) {
+      for (let a = 0; a < 3; ++a) {
+        for (let b = 0; b < 3; ++b) if (faces[f + a] > faces[f + b]) action(faces[f + a], faces[f + b]);
+      }
+    }
+  };
+  visit((later) => ++offsets[later + 1]);
+  for (let v = 0; v < vertices; ++v) offsets[v + 1] += offsets[v];
+  const mates = new Uint32Array(offsets[vertices]);
+  const next = offsets.slice(0, vertices);
+  visit((later, earlier) => (mates[next[later]++] = earlier));
+  return { offsets, mates };
+}
+
 /** Frames of one mesh, kept as 16-bit integers (order: frame, axis, vertex). */
 export class Sequence {
   readonly frames: number;
@@ -112,17 +130,36 @@ export class Sequence {
     this.quantized = quantized;
   }
 
-  static async read(meta: SequenceMeta): Promise<Sequence> {
+  /** Undoes what services/cli/report/encode.hpp describes. */
+  static async read(meta: SequenceMeta, faces: Uint32Array): Promise<Sequence> {
     const planes = await readBlob(meta.blob);
-    const perFrame = 3 * meta.vertices;
+    const { vertices } = meta;
+    const perFrame = 3 * vertices;
     const total = perFrame * meta.frames;
     if (planes.length !== 2 * total) throw new Error(`part "${meta.blob}" has a wrong length`);
+    const { offsets, mates } = earlierMates(faces, vertices);
     const q = new Uint16Array(total);
-    for (let i = 0; i < total; ++i) {
-      const zigzag = planes[i] | (planes[total + i] << 8);
-      const residual = (zigzag >>> 1) ^ -(zigzag & 1);
-      const predicted = i >= perFrame ? q[i - perFrame] : i % meta.vertices === 0 ? 0 : q[i - 1];
-      q[i] = predicted + residual;
+    const residuals = new Int16Array(vertices);
+    for (let start = 0; start < total; start += vertices) {
+      for (let v = 0; v < vertices; ++v) {
+        const i = start + v;
+        let sum = 0;
+        let count = offsets[v + 1] - offsets[v];
+        if (count > 0) {
+          for (let k = offsets[v]; k < offsets[v + 1]; ++k) sum += residuals[mates[k]];
+        } else if (v > 0) {
+          sum = residuals[v - 1];
+          count = 1;
+        } else {
+          count = 1;
+        }
+        const zigzag = planes[i] | (planes[total + i] << 8);
+        // The typed arrays wrap modulo 2^16.
+        residuals[v] = ((zigzag >>> 1) ^ -(zigzag & 1)) + Math.floor(sum / count);
+        const before = i >= perFrame ? q[i - perFrame] : 0;
+        const expected = i >= 2 * perFrame ? 2 * before - q[i - 2 * perFrame] : before;
+        q[i] = expected + residuals[v];
+      }
     }
     return new Sequence(meta, q);
   }
@@ -186,24 +223,21 @@ export interface Dataset {
 
 export async function readDataset(): Promise<Dataset> {
   const meta = readMeta();
-  const [coarseFaces, fineFaces, coarse, enhanced] = await Promise.all([
-    readWords("coarse_faces"),
-    readWords("fine_faces"),
-    Sequence.read(meta.coarse),
-    Sequence.read(meta.enhanced),
+  const [coarseFaces, fineFaces] = await Promise.all([readWords("coarse_faces"), readWords("fine_faces")]);
+  const [coarse, enhanced, reference] = await Promise.all([
+    Sequence.read(meta.coarse, coarseFaces),
+    Sequence.read(meta.enhanced, fineFaces),
+    meta.reference && Sequence.read(meta.reference, fineFaces),
   ]);
-  const reference = meta.reference && (await Sequence.read(meta.reference));
   const upsampling =
     meta.upsampling &&
     new Upsampling(coarseFaces, await readWords(meta.upsampling.parent_faces), await readFloats(meta.upsampling.barycentric));
   const obstacles = await Promise.all(
-    meta.obstacles.map(async (o): Promise<Obstacle> => ({
-      name: o.name,
-      centers: o.centers,
-      radii: o.radii,
-      faces: o.faces ? await readWords(o.faces) : undefined,
-      sequence: o.sequence && (await Sequence.read(o.sequence)),
-    })),
+    meta.obstacles.map(async ({ name, centers, radii, ...mesh }): Promise<Obstacle> => {
+      const faces = mesh.faces ? await readWords(mesh.faces) : undefined;
+      const sequence = mesh.sequence && faces && (await Sequence.read(mesh.sequence, faces));
+      return { name, centers, radii, faces, sequence };
+    }),
   );
   return { meta, coarseFaces, fineFaces, coarse, enhanced, reference, upsampling, obstacles };
 }

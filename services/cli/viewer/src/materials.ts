@@ -33,7 +33,7 @@ function mapTexture(): THREE.DataTexture {
 }
 
 /**
- * Woven cloth: another shade on the back, a soft sheen, and valleys slightly darker than ridges (attribute `curvature`,
+ * Woven cloth: another shade on the back, and valleys slightly darker than ridges (attribute `curvature`,
  * 1/m), which is what makes fine wrinkles readable under soft light.
  */
 export function clothMaterial(): THREE.Material {
@@ -45,7 +45,7 @@ export function clothMaterial(): THREE.Material {
     shadowSide: THREE.DoubleSide,
   });
   const front = new THREE.Color(0xa85a47);
-  const back = new THREE.Color(0x74443b);
+  const back = new THREE.Color(0x8a5b50);
   material.onBeforeCompile = (shader) => {
     shader.uniforms.uFront = { value: front };
     shader.uniforms.uBack = { value: back };
@@ -59,7 +59,7 @@ export function clothMaterial(): THREE.Material {
         `#include <color_fragment>
         float facing = gl_FrontFacing ? 1.0 : -1.0;
         float valley = tanh(vCurvature * facing * 0.03);
-        diffuseColor.rgb *= (gl_FrontFacing ? uFront : uBack) * (1.0 - (valley > 0.0 ? 0.42 : 0.22) * valley);`,
+        diffuseColor.rgb *= (gl_FrontFacing ? uFront : uBack) * (1.0 - (valley > 0.0 ? 0.34 : 0.18) * valley);`,
       );
   };
   return material;

@@ -53,7 +53,7 @@ export class Player {
     const { report, stride } = this.data.meta;
     const index = this.stored * stride;
     this.slider.value = String(this.stored);
-    document.getElementById("frame")!.textContent = `Frame ${index} of ${report.frames - 1}`;
+    document.getElementById("frame")!.textContent = `Frame ${index} / ${report.frames - 1}`;
     document.getElementById("time")!.textContent = `${(index * report.frame_time_s).toFixed(2)} s`;
     this.draw();
     this.onShow(this.stored);

@@ -4,7 +4,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 import type { Comparison, MapKind } from "./comparison";
 import type { Dataset, Obstacle } from "./data";
-import { Curvature, rms, maximum, vertexNormals } from "./geometry";
+import { Curvature, maximum, rms, roundUp, vertexNormals } from "./geometry";
 import { clothMaterial, mapMaterial } from "./materials";
 
 export type ViewName = "coarse" | "enhanced" | "reference" | "map";
@@ -115,7 +115,7 @@ class ObstacleMesh {
 /** One panel: its scene, lights and cloth. */
 class View {
   readonly scene = new THREE.Scene();
-  readonly key = new THREE.DirectionalLight(0xfff4e8, 2.3);
+  readonly key = new THREE.DirectionalLight(0xfff4e8, 2.0);
   readonly rim = new THREE.DirectionalLight(0xbcd4ff, 0.7);
   private readonly obstacles: ObstacleMesh[];
 
@@ -130,7 +130,7 @@ class View {
   ) {
     this.obstacles = obstacles.map((o) => new ObstacleMesh(o, obstacleMaterial));
     this.scene.environment = environment;
-    this.scene.environmentIntensity = 0.42;
+    this.scene.environmentIntensity = 0.7;
     this.key.castShadow = true;
     this.key.shadow.mapSize.set(2048, 2048);
     this.key.shadow.autoUpdate = false;
@@ -166,7 +166,7 @@ function groundMaterial(radius: number): THREE.ShaderMaterial {
   return new THREE.ShaderMaterial({
     transparent: true,
     depthWrite: false,
-    uniforms: { uColor: { value: new THREE.Color(0x888888) }, uRadius: { value: 3.2 * radius }, uCell: { value: gridCell(radius) } },
+    uniforms: { uColor: { value: new THREE.Color(0x888888) }, uRadius: { value: 3.2 * radius }, uCell: { value: roundUp(radius / 8) } },
     vertexShader: "varying vec2 vPlace; void main() { vPlace = position.xy; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }",
     fragmentShader: `uniform vec3 uColor; uniform float uRadius; uniform float uCell; varying vec2 vPlace;
       void main() {
@@ -177,10 +177,6 @@ function groundMaterial(radius: number): THREE.ShaderMaterial {
         gl_FragColor = vec4(uColor, ink * fade * 0.22);
       }`,
   });
-}
-
-function gridCell(radius: number): number {
-  return 10 ** Math.round(Math.log10(radius / 4));
 }
 
 export class Stage {
