@@ -82,7 +82,7 @@ void stretching_stiffness(const TriangleRest<T>& rest, const Moduli& k, const Tr
 }
 
 /// Dihedral angle of a hinge and its gradient. Edge x0 -> x1 as in its first face, x2 opposite in the first face, x3
-/// in the second. Positive where the faces fold towards their normals' side is negative; 0 when flat.
+/// in the second. 0 when flat, negative where the faces fold towards the side of their normals.
 template <typename T>
 struct HingeAngle {
   T theta;                                         // radians, (-pi, pi]
@@ -104,7 +104,8 @@ HingeAngle<T> hinge_angle(const Eigen::Matrix<T, 3, 1>& edge, const Eigen::Matri
   h.theta = std::atan2(edge.dot(unit0.cross(unit1)) / length, unit0.dot(unit1));
   const T floor = T(1e-3) * length;
   const T t0 = wing0.dot(edge) / length2, t1 = wing1.dot(edge) / length2;
-  const Vec3 g0 = unit0 / std::max(size0 / length, floor), g1 = unit1 / std::max(size1 / length, floor);
+  // Moving a wing along its normal folds towards the normals: theta falls.
+  const Vec3 g0 = -unit0 / std::max(size0 / length, floor), g1 = -unit1 / std::max(size1 / length, floor);
   h.gradient[2] = g0;
   h.gradient[3] = g1;
   h.gradient[0] = -((1 - t0) * g0 + (1 - t1) * g1);
