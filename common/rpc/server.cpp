@@ -12,6 +12,7 @@
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <mutex>
@@ -102,6 +103,8 @@ Server::Server(const ServerOptions& options, const std::vector<HostedService>& s
       throw_invalid_argument("socket path " + path + " is longer than " +
                              std::to_string(sizeof(sockaddr_un::sun_path) - 1) + " characters");
     }
+    std::error_code error;  // a folder that can't be made is reported by listening
+    std::filesystem::create_directories(std::filesystem::path(path).parent_path(), error);
     clear_socket(path);
   }
   static std::once_flag plugins;
@@ -194,6 +197,8 @@ int service_main(const std::string& program, const std::function<int()>& body) {
   const sigset_t signals = stop_signals();
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   std::signal(SIGPIPE, SIG_IGN);
+  // gRPC prints failures on stderr that come back as statuses anyway; one line per failure is ours.
+  setenv("GRPC_VERBOSITY", "NONE", 0);
   try {
     return body();
   } catch (const Error& error) {

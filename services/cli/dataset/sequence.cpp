@@ -80,7 +80,7 @@ SequenceReport make_sequence(const fs::path& folder, const SequencePlan& plan, b
 
   SequenceReport report;
   std::uint64_t simulated = 0;
-  while (simulation.next_index() < options.frames) {
+  while (writer.frames_complete() < options.frames) {
     simulation::SimulatedFrame frame = simulation.next_frame();
     report.coarse_ms += frame.times.coarse_ms;
     report.fine_ms += frame.times.fine_ms;
