@@ -1,12 +1,15 @@
 #include "services/refinement/obstacle_push.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace pleat {
 namespace {
 
 // Weight of standing still against bending: displacements fade over about three edges.
 constexpr double kStandStill = 1e-3;
+// Moves below this share of the clearance are projected: no wrinkle suffers from them.
+constexpr double kProjectedShare = 0.1;
 constexpr int kProjections = 5;
 constexpr int kFaceSweeps = 12;
 
@@ -83,7 +86,10 @@ bool ObstaclePush::apply(Positions& positions, const ObstacleField& field, SelfI
   std::vector<std::uint32_t> vertices = vertices_of(faces_, near);
   std::vector<Violation> violations = find_violations(positions, vertices, field, clearance);
   bool moved = false;
-  for (int round = 0; round < rounds_ && !violations.empty(); ++round) {
+  const auto worth_a_solve = [&](const Violation& violation) {
+    return violation.move.squaredNorm() > std::pow(kProjectedShare * clearance, 2);
+  };
+  for (int round = 0; round < rounds_ && std::any_of(violations.begin(), violations.end(), worth_a_solve); ++round) {
     Eigen::MatrixXd load = Eigen::MatrixXd::Zero(vertex_count_, 3);
     for (const Violation& violation : violations) load.row(violation.vertex) = violation.move;
     const Eigen::MatrixXd u = factor().solve(load);
