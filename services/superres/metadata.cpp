@@ -73,6 +73,16 @@ void validate(const Architecture& architecture) {
     throw_invalid_argument("architecture: upsampling must be 'bilinear' or 'subpixel', is '" + architecture.upsampling +
                            "'");
   }
+  if (architecture.axes != "aligned" && architecture.axes != "local") {
+    throw_invalid_argument("architecture: axes must be 'aligned' or 'local', is '" + architecture.axes + "'");
+  }
+  if (architecture.axes == "local" && (architecture.residual != "mesh" || !architecture.conditioned)) {
+    throw_invalid_argument("architecture: axes 'local' needs residual 'mesh' and conditioned");
+  }
+  if (architecture.residual != "none" && architecture.residual != "bilinear" && architecture.residual != "mesh") {
+    throw_invalid_argument("architecture: residual must be 'none', 'bilinear' or 'mesh', is '" + architecture.residual +
+                           "'");
+  }
 }
 
 std::string to_json(const Metadata& metadata) {
@@ -81,10 +91,11 @@ std::string to_json(const Metadata& metadata) {
   document["format"] = kFormat;
   document["version"] = kBundleVersion;
   document["name"] = metadata.name;
-  document["architecture"] = {
-      {"kind", metadata.kind},  {"blocks", a.blocks},           {"layers", a.layers},
-      {"growth", a.growth},     {"features", a.features},       {"upsampling", a.upsampling},
-      {"residual", a.residual}, {"conditioned", a.conditioned}, {"parameters", metadata.parameters}};
+  document["architecture"] = {{"kind", metadata.kind},        {"blocks", a.blocks},
+                              {"layers", a.layers},           {"growth", a.growth},
+                              {"features", a.features},       {"upsampling", a.upsampling},
+                              {"residual", a.residual},       {"axes", a.axes},
+                              {"conditioned", a.conditioned}, {"parameters", metadata.parameters}};
   document["scale"] = metadata.scale;
   document["channels"] = metadata.channels;
   document["normalization"] = {{"minimum", metadata.normalization.minimum},
@@ -125,7 +136,8 @@ Metadata metadata_from_json(const std::string& text, const std::string& source) 
     a.growth = get<int>(architecture, "growth", source);
     a.features = get<int>(architecture, "features", source);
     a.upsampling = get_or<std::string>(architecture, "upsampling", "bilinear", source);
-    a.residual = get_or<bool>(architecture, "residual", false, source);
+    a.residual = get_or<std::string>(architecture, "residual", "none", source);
+    a.axes = get_or<std::string>(architecture, "axes", "aligned", source);
     a.conditioned = get_or<bool>(architecture, "conditioned", false, source);
     validate(a);
   }

@@ -25,7 +25,14 @@ struct Architecture {
   /// "bilinear": features are upsampled, then each head is one 3x3 convolution (published).
   /// "subpixel": each head is one 3x3 convolution at the coarse size to 16 values a texel and channel, rearranged.
   std::string upsampling = "bilinear";
-  bool residual = false;     ///< the heads predict what is to be added to the bilinearly upsampled coarse image
+  /// What the heads' answer is added to: "none" (published), "bilinear": the bilinearly upsampled coarse image, or
+  /// "mesh": the barycentrically upsampled coarse mesh, recovered from the coarse image (docs/superres.md). A network
+  /// with "mesh" also sees where the coarse triangles lie, and serves one mesh and image size only.
+  std::string residual = "none";
+  /// "aligned": the network works in the axes of the rigid alignment (published); "local": it reads strain, curvature
+  /// and velocity in the axes of the cloth at each texel and answers in them, so that it need not learn that a fold is
+  /// the same fold in every direction. Needs residual "mesh" and conditioned.
+  std::string axes = "aligned";
   bool conditioned = false;  ///< inputs standardised, plus their local detail as nine more channels; outputs scaled
 };
 

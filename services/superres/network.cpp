@@ -11,7 +11,38 @@ namespace pleat::superres {
 namespace {
 
 constexpr int kDetailWindow = 7;
+constexpr double kLargestFeature = 6;
 const char* const kHeads[] = {"displacement", "normal", "velocity"};
+
+/// local_frame() in TorchScript: leaves the axes in t, s2, n and the network's input in i.
+constexpr const char* kLocalScript = R"(
+  p = x * self.base_range + self.base_minimum
+  k = torch.cat([p[:, 0:3] + self.base_rest, self.base_rest], 0)
+  k = torch.cat([2 * k[:, :, 0:1] - k[:, :, 1:2], k, 2 * k[:, :, -1:] - k[:, :, -2:-1]], 2)
+  k = torch.cat([2 * k[:, :, :, 0:1] - k[:, :, :, 1:2], k, 2 * k[:, :, :, -1:] - k[:, :, :, -2:-1]], 3)
+  du = (k[:, :, 1:-1, 2:] - k[:, :, 1:-1, :-2]) / 2
+  dv = (k[:, :, 2:, 1:-1] - k[:, :, :-2, 1:-1]) / 2
+  duu = (k[:, :, 1:-1, 2:] - 2 * k[:, :, 1:-1, 1:-1] + k[:, :, 1:-1, :-2])[:-1]
+  duv = ((k[:, :, 2:, 2:] - k[:, :, 2:, :-2] - k[:, :, :-2, 2:] + k[:, :, :-2, :-2]) / 4)[:-1]
+  dvv = (k[:, :, 2:, 1:-1] - 2 * k[:, :, 1:-1, 1:-1] + k[:, :, :-2, 1:-1])[:-1]
+  ru = torch.sum(du[-1:] * du[-1:], [1], True)
+  rv = torch.sum(dv[-1:] * dv[-1:], [1], True)
+  du = du[:-1]
+  dv = dv[:-1]
+  n = torch.cross(du, dv, 1)
+  n = n / torch.sqrt(torch.sum(n * n, [1], True)).clamp_min(1e-9)
+  t = du / torch.sqrt(torch.sum(du * du, [1], True)).clamp_min(1e-9)
+  s2 = torch.cross(n, t, 1)
+  q = [torch.sum(du * du, [1], True) / ru - 1, torch.sum(dv * dv, [1], True) / rv - 1, torch.sum(du * dv, [1], True) / torch.sqrt(ru * rv)]
+  for b in [duu, duv, dvv]:
+    for c in [t, s2, n]:
+      q.append(torch.sum(b * c, [1], True))
+  for c in [t, s2]:
+    q.append(torch.sum(p[:, 3:6] * c, [1], True))
+  for c in [t, s2, n]:
+    q.append(torch.sum(p[:, 6:9] * c, [1], True))
+  i = ((torch.cat(q, 1) - self.local_mean) / self.local_deviation).clamp(-6.0, 6.0)
+)";
 
 /// splitmix64: small, and the same everywhere, unlike the standard library's distributions.
 std::uint64_t next_random(std::uint64_t& state) {
@@ -23,7 +54,7 @@ std::uint64_t next_random(std::uint64_t& state) {
 }
 
 torch::Tensor channel_tensor(const std::vector<float>& values) {
-  return torch::tensor(values, torch::kFloat32).view({1, kChannels, 1, 1});
+  return torch::tensor(values, torch::kFloat32).view({1, -1, 1, 1});
 }
 
 std::string dense_name(int block, int layer) {
@@ -42,12 +73,81 @@ torch::Tensor local_detail(const torch::Tensor& x) {
   return x - torch::avg_pool2d(x, kDetailWindow, 1, kDetailWindow / 2, false, false);
 }
 
+namespace {
+
+/// One texel more on each side, continued linearly, so that differences at the border are one-sided.
+torch::Tensor extend(const torch::Tensor& p) {
+  const auto h = p.size(2), w = p.size(3);
+  const auto rows =
+      torch::cat({2 * p.slice(2, 0, 1) - p.slice(2, 1, 2), p, 2 * p.slice(2, h - 1, h) - p.slice(2, h - 2, h - 1)}, 2);
+  return torch::cat(
+      {2 * rows.slice(3, 0, 1) - rows.slice(3, 1, 2), rows, 2 * rows.slice(3, w - 1, w) - rows.slice(3, w - 2, w - 1)},
+      3);
+}
+
+struct Differences {
+  torch::Tensor u, v, uu, uv, vv;
+};
+
+Differences differences(const torch::Tensor& p) {
+  const auto h = p.size(2), w = p.size(3);
+  const auto q = extend(p);
+  const auto at = [&](int dy, int dx) { return q.slice(2, 1 + dy, 1 + dy + h).slice(3, 1 + dx, 1 + dx + w); };
+  return {(at(0, 1) - at(0, -1)) / 2, (at(1, 0) - at(-1, 0)) / 2, at(0, 1) - 2 * p + at(0, -1),
+          (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4, at(1, 0) - 2 * p + at(-1, 0)};
+}
+
+torch::Tensor contract(const torch::Tensor& a, const torch::Tensor& b) { return (a * b).sum(1, true); }
+
+torch::Tensor unit(const torch::Tensor& a) { return a / contract(a, a).sqrt().clamp_min(1e-9); }
+
+}  // namespace
+
+LocalFrame local_frame(const torch::Tensor& x, const torch::Tensor& minimum, const torch::Tensor& range,
+                       const torch::Tensor& rest) {
+  const auto physical = x * range + minimum;
+  const auto d = differences(physical.slice(1, 0, 3) + rest), r = differences(rest);
+  const auto normal = unit(torch::cross(d.u, d.v, 1)), first = unit(d.u);
+  const auto second = torch::cross(normal, first, 1);
+  std::vector<torch::Tensor> features{contract(d.u, d.u) / contract(r.u, r.u) - 1,
+                                      contract(d.v, d.v) / contract(r.v, r.v) - 1,
+                                      contract(d.u, d.v) / (contract(r.u, r.u) * contract(r.v, r.v)).sqrt()};
+  for (const auto& bend : {d.uu, d.uv, d.vv}) {
+    for (const auto& axis : {first, second, normal}) features.push_back(contract(bend, axis));
+  }
+  for (const auto& axis : {first, second}) features.push_back(contract(physical.slice(1, 3, 6), axis));
+  for (const auto& axis : {first, second, normal}) features.push_back(contract(physical.slice(1, 6, 9), axis));
+  return {torch::cat({first, second, normal}, 1), torch::cat(features, 1)};
+}
+
+torch::Tensor from_local(const torch::Tensor& y, const torch::Tensor& axes) {
+  std::vector<torch::Tensor> vectors;
+  for (int g = 0; g < 9; g += 3) {
+    vectors.push_back(y.slice(1, g, g + 1) * axes.slice(1, 0, 3) + y.slice(1, g + 1, g + 2) * axes.slice(1, 3, 6) +
+                      y.slice(1, g + 2, g + 3) * axes.slice(1, 6, 9));
+  }
+  return torch::cat(vectors, 1);
+}
+
+torch::Tensor to_local(const torch::Tensor& y, const torch::Tensor& axes) {
+  std::vector<torch::Tensor> values;
+  for (int g = 0; g < 9; g += 3) {
+    for (int a = 0; a < 9; a += 3) values.push_back(contract(y.slice(1, g, g + 3), axes.slice(1, a, a + 3)));
+  }
+  return torch::cat(values, 1);
+}
+
 Network::Network(const Architecture& architecture, std::uint64_t seed)
     : architecture_(architecture), random_state_(seed) {
   validate(architecture);
   const Architecture& a = architecture_;
   const bool subpixel = a.upsampling == "subpixel";
-  add_convolution("shallow0", a.conditioned ? 2 * kChannels : kChannels, a.features, 3, false);
+  add_convolution("shallow0",
+                  (a.axes == "local" ? kLocalChannels
+                   : a.conditioned   ? 2 * kChannels
+                                     : kChannels) +
+                      (a.residual == "mesh" ? kStructureChannels : 0),
+                  a.features, 3, false);
   add_convolution("shallow1", a.features, a.features, 3, false);
   for (int d = 0; d < a.blocks; ++d) {
     for (int c = 0; c < a.layers; ++c) {
@@ -58,13 +158,17 @@ Network::Network(const Architecture& architecture, std::uint64_t seed)
   add_convolution("global0", a.blocks * a.features, a.features, 1, false);
   add_convolution("global1", a.features, a.features, 3, false);
   for (const char* head : kHeads) {
-    add_convolution(std::string("head_") + head, a.features, subpixel ? 3 * kScale * kScale : 3, 3, a.residual);
+    add_convolution(std::string("head_") + head, a.features, subpixel ? 3 * kScale * kScale : 3, 3,
+                    a.residual != "none");
   }
   if (a.conditioned) {
     for (const char* name : {"input_mean", "input_deviation", "detail_deviation", "output_deviation"}) {
       const bool mean = std::string(name) == "input_mean";
       buffers_.emplace_back(name, torch::full({1, kChannels, 1, 1}, mean ? 0.5 : 1.0));
     }
+    buffers_.emplace_back("local_mean", torch::zeros({1, kLocalChannels, 1, 1}));
+    buffers_.emplace_back("local_deviation", torch::ones({1, kLocalChannels, 1, 1}));
+    buffers_.emplace_back("local_output", torch::ones({1, kChannels, 1, 1}));
   }
 }
 
@@ -89,13 +193,18 @@ void Network::set_conditioning(const Conditioning& conditioning) {
       {"input_mean", &conditioning.input_mean},
       {"input_deviation", &conditioning.input_deviation},
       {"detail_deviation", &conditioning.detail_deviation},
-      {"output_deviation", &conditioning.output_deviation}};
-  for (std::size_t i = 0; i < 4; ++i) {
+      {"output_deviation", &conditioning.output_deviation},
+      {"local_mean", &conditioning.local_mean},
+      {"local_deviation", &conditioning.local_deviation},
+      {"local_output", &conditioning.local_output}};
+  for (std::size_t i = 0; i < (architecture_.axes == "local" ? 7U : 4U); ++i) {
     const auto& [name, values] = sets[i];
-    bool good = values->size() == kChannels;
-    for (const float v : *values) good = good && std::isfinite(v) && (i == 0 || v > 0);
+    const bool mean = i == 0 || i == 4;
+    bool good = values->size() == static_cast<std::size_t>(buffers_[i].second.numel());
+    for (const float v : *values) good = good && std::isfinite(v) && (mean || v > 0);
     if (!good)
-      throw_invalid_argument(std::string("conditioning: ") + name + " needs nine finite values, deviations > 0");
+      throw_invalid_argument(std::string("conditioning: ") + name +
+                             " needs finite values, one a channel, deviations > 0");
     buffers_[i].second = channel_tensor(*values).to(buffers_[i].second.device());
   }
 }
@@ -115,13 +224,70 @@ torch::Tensor Network::convolve(const torch::Tensor& x, const std::string& name,
   return torch::conv2d(x, get(name + "_weight").to(type), get(name + "_bias").to(type), 1, kernel / 2);
 }
 
+void Network::set_mesh_base(const MeshBase& base, const Normalization& normalization, int height, int width) {
+  if (architecture_.residual != "mesh") return;
+  const std::int64_t texels = static_cast<std::int64_t>(height) * width, fine = texels * kScale * kScale;
+  if (base.vertices < 1 || static_cast<std::int64_t>(base.to_vertices.size()) != base.vertices * texels ||
+      static_cast<std::int64_t>(base.corners.size()) != 3 * fine || base.weights.size() != base.corners.size() ||
+      static_cast<std::int64_t>(base.rest.size()) != 3 * texels ||
+      static_cast<std::int64_t>(base.structure.size()) != kStructureChannels * texels) {
+    throw_internal("mesh base: sizes contradict each other");
+  }
+  const auto device = parameters_.front().second.device();
+  const auto to_vertices = torch::tensor(base.to_vertices).view({base.vertices, texels}).t().contiguous();
+  std::vector<float> minimum(kChannels), range(kChannels);
+  for (std::size_t c = 0; c < kChannels; ++c) {
+    minimum[c] = normalization.minimum[c];
+    range[c] = normalization.maximum[c] - minimum[c];
+  }
+  const std::pair<std::string, torch::Tensor> values[] = {
+      {"base_minimum", channel_tensor(minimum)},
+      {"base_range", channel_tensor(range)},
+      {"base_rest", torch::tensor(base.rest).view({1, 3, height, width})},
+      {"base_vertices", to_vertices},
+      {"base_corners", torch::tensor(base.corners).view({3, fine})},
+      {"base_weights", torch::tensor(base.weights).view({3, fine})},
+      {"base_structure", torch::tensor(base.structure).view({1, kStructureChannels, height, width})}};
+  for (const auto& [name, value] : values) {
+    std::erase_if(buffers_, [&key = name](const auto& entry) { return entry.first == key; });
+    buffers_.emplace_back(name, value.to(device));
+  }
+}
+
+torch::Tensor Network::base_image(const torch::Tensor& x) const {
+  // Around the middle of the range, so that a fit that is not exact stays harmless.
+  const auto vertices = torch::matmul(x.flatten(2) - 0.5, get("base_vertices"));
+  const auto &corners = get("base_corners"), &weights = get("base_weights");
+  auto image = torch::full({1}, 0.5, x.options());
+  for (int k = 0; k < 3; ++k) image = image + vertices.index_select(2, corners[k]) * weights[k];
+  return image.view({x.size(0), x.size(1), x.size(2) * kScale, x.size(3) * kScale});
+}
+
 torch::Tensor Network::forward(const torch::Tensor& x, torch::ScalarType body) const {
+  if (architecture_.residual == "mesh") return forward(x, base_image(x), get("base_structure"), body);
+  const auto output = body_forward(x, {}, body);
+  return architecture_.residual == "bilinear" ? output + upsample_bilinear(x) : output;
+}
+
+torch::Tensor Network::forward(const torch::Tensor& x, const torch::Tensor& base, const torch::Tensor& structure,
+                               torch::ScalarType body) const {
+  return body_forward(x, structure, body) + base;
+}
+
+torch::Tensor Network::body_forward(const torch::Tensor& x, const torch::Tensor& structure,
+                                    torch::ScalarType body) const {
   const Architecture& a = architecture_;
-  torch::Tensor input = x;
-  if (a.conditioned) {
+  torch::Tensor input = x, axes;
+  if (a.axes == "local") {
+    const auto local = local_frame(x, get("base_minimum"), get("base_range"), get("base_rest"));
+    axes = local.axes;
+    // Folds have curvatures far beyond the deviation.
+    input = ((local.features - get("local_mean")) / get("local_deviation")).clamp(-kLargestFeature, kLargestFeature);
+  } else if (a.conditioned) {
     input =
         torch::cat({(x - get("input_mean")) / get("input_deviation"), local_detail(x) / get("detail_deviation")}, 1);
   }
+  if (structure.defined()) input = torch::cat({input, structure.expand({x.size(0), -1, -1, -1})}, 1);
   const auto shallow = convolve(input, "shallow0", 3);
   auto features = convolve(shallow, "shallow1", 3).to(body);
   std::vector<torch::Tensor> hierarchy;
@@ -140,8 +306,11 @@ torch::Tensor Network::forward(const torch::Tensor& x, torch::ScalarType body) c
   for (const char* head : kHeads) heads.push_back(convolve(features, std::string("head_") + head, 3));
   auto output = torch::cat(heads, 1).to(x.scalar_type());
   if (subpixel) output = torch::pixel_shuffle(output, kScale);
-  if (a.conditioned) output = output * get("output_deviation");
-  if (a.residual) output = output + upsample_bilinear(x);
+  if (a.axes == "local") {
+    output = from_local(output * get("local_output"), upsample_bilinear(axes)) / get("base_range");
+  } else if (a.conditioned) {
+    output = output * get("output_deviation");
+  }
   return output;
 }
 
@@ -159,11 +328,16 @@ std::int64_t Network::parameter_count() const {
 
 void Network::to(torch::Device device) {
   for (auto* list : {&parameters_, &buffers_}) {
-    for (auto& entry : *list) entry.second = entry.second.detach().to(device).set_requires_grad(list == &parameters_);
+    for (auto& entry : *list) {
+      entry.second = entry.second.detach().to(device);
+      if (list == &parameters_) entry.second.set_requires_grad(true);
+    }
   }
 }
 
-std::vector<std::string> Network::float32_parameters() { return {"shallow", "input_", "detail_", "output_"}; }
+std::vector<std::string> Network::float32_parameters() {
+  return {"shallow", "input_", "detail_", "output_", "base_", "local_"};
+}
 
 std::string Network::script_source() const {
   const Architecture& a = architecture_;
@@ -174,12 +348,15 @@ std::string Network::script_source() const {
   };
   const std::string size = "[x.size(2) * 4, x.size(3) * 4]";
   out << "def forward(self, x):\n";
-  if (a.conditioned) {
+  if (a.axes == "local") {
+    out << kLocalScript;
+  } else if (a.conditioned) {
     out << "  d = x - torch.avg_pool2d(x, [7, 7], [1, 1], [3, 3], False, False)\n"
         << "  i = torch.cat([(x - self.input_mean) / self.input_deviation, d / self.detail_deviation], 1)\n";
   } else {
     out << "  i = x\n";
   }
+  if (a.residual == "mesh") out << "  i = torch.cat([i, self.base_structure.expand([x.size(0), -1, -1, -1])], 1)\n";
   // The type of the body is that of its weights, so one module serves float32 and bfloat16.
   out << "  s = " << convolution("i", "shallow0", 3) << "\n";
   out << "  f = " << convolution("s", "shallow1", 3) << ".to(self.global1_weight.dtype)\n";
@@ -203,8 +380,29 @@ std::string Network::script_source() const {
     out << "  g = torch.upsample_bilinear2d(g, " << size << ", False)\n";
     out << "  y = " << convolution("g", "heads", 3) << ".to(x.dtype)\n";
   }
-  if (a.conditioned) out << "  y = y * self.output_deviation\n";
-  if (a.residual) out << "  y = y + torch.upsample_bilinear2d(x, " << size << ", False)\n";
+  if (a.axes == "local") {
+    out << "  y = y * self.local_output\n  e = torch.upsample_bilinear2d(torch.cat([t, s2, n], 1), " << size
+        << ", False)\n"
+        << "  y = torch.cat([";
+    for (int g = 0; g < kChannels; g += 3) {
+      out << (g > 0 ? ", " : "");
+      for (int k = 0; k < 3; ++k) {
+        out << (k > 0 ? " + " : "") << "y[:, " << g + k << ":" << g + k + 1 << "] * e[:, " << 3 * k << ":" << 3 * k + 3
+            << "]";
+      }
+    }
+    out << "], 1) / self.base_range\n";
+  } else if (a.conditioned) {
+    out << "  y = y * self.output_deviation\n";
+  }
+  if (a.residual == "bilinear") out << "  y = y + torch.upsample_bilinear2d(x, " << size << ", False)\n";
+  if (a.residual == "mesh") {
+    out << "  v = torch.matmul(x.flatten(2) - 0.5, self.base_vertices)\n  z = y.flatten(2) + 0.5\n";
+    for (int k = 0; k < 3; ++k) {
+      out << "  z = z + torch.index_select(v, 2, self.base_corners[" << k << "]) * self.base_weights[" << k << "]\n";
+    }
+    out << "  y = z.view([x.size(0), x.size(1), x.size(2) * 4, x.size(3) * 4])\n";
+  }
   out << "  return y\n";
   return out.str();
 }

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "services/superres/mesh_base.hpp"
 #include "services/superres/metadata.hpp"
 
 namespace torch::jit {
@@ -20,7 +21,9 @@ namespace pleat::superres {
 struct Conditioning {
   std::vector<float> input_mean, input_deviation;  ///< of the coarse images
   std::vector<float> detail_deviation;             ///< of the coarse images minus their 7x7 mean
-  std::vector<float> output_deviation;             ///< of the fine images minus the upsampled coarse ones
+  std::vector<float> output_deviation;             ///< of the fine images minus the residual's base
+  std::vector<float> local_mean, local_deviation;  ///< axes "local": of the 17 features
+  std::vector<float> local_output;                 ///< axes "local": of the residual in local axes, m, - and m/s (nine)
 };
 
 /// [MFSR] section 5.1, figure 4; blocks as in RDN (its reference [17]):
@@ -29,10 +32,14 @@ struct Conditioning {
 /// Upsampling is bilinear with align_corners = false, which fits texel centres at (i + 0.5) / size.
 class Network {
  public:
-  /// Fresh weights from `seed`: uniform in +-1/sqrt(fan in), the same values on every machine. With `residual` the
-  /// heads begin at zero, so that an untrained network is the bilinear upsampling. Throws kInvalidArgument through
+  /// Fresh weights from `seed`: uniform in +-1/sqrt(fan in), the same values on every machine. With a residual the
+  /// heads begin at zero, so that an untrained network is that interpolation. Throws kInvalidArgument through
   /// validate(architecture).
   Network(const Architecture& architecture, std::uint64_t seed);
+
+  /// Sets the constants of a network with residual "mesh" for coarse images of height x width texels. Throws kInternal
+  /// if the sizes contradict each other.
+  void set_mesh_base(const MeshBase& base, const Normalization& normalization, int height, int width);
 
   /// Sets the constants of a conditioned network; no effect on others. Throws kInvalidArgument unless nine finite
   /// values each, deviations > 0.
@@ -41,6 +48,13 @@ class Network {
   /// x: (N, 9, h, w) normalised float32. Returns (N, 9, 4h, 4w) float32. Differentiable. `body` is the type of all
   /// convolutions but the shallow ones: torch::kBFloat16 halves the time on processors and GPUs that have it.
   torch::Tensor forward(const torch::Tensor& x, torch::ScalarType body = torch::kFloat32) const;
+
+  /// The same for patches of images with residual "mesh": their parts of base_image() and of the mesh's structure.
+  torch::Tensor forward(const torch::Tensor& x, const torch::Tensor& base, const torch::Tensor& structure,
+                        torch::ScalarType body) const;
+
+  /// x: (N, 9, h, w) of the whole image. Returns (N, 9, 4h, 4w): the barycentrically upsampled mesh. Residual "mesh".
+  torch::Tensor base_image(const torch::Tensor& x) const;
 
   /// Parameters by name, in a fixed order; weights (out, in, k, k) and biases (out).
   const std::vector<std::pair<std::string, torch::Tensor>>& parameters() const { return parameters_; }
@@ -59,6 +73,7 @@ class Network {
 
  private:
   const torch::Tensor& get(const std::string& name) const;
+  torch::Tensor body_forward(const torch::Tensor& x, const torch::Tensor& structure, torch::ScalarType body) const;
   torch::Tensor convolve(const torch::Tensor& x, const std::string& name, int kernel) const;
   void add_convolution(const std::string& name, int in, int out, int kernel, bool zero);
   std::string script_source() const;
@@ -68,6 +83,22 @@ class Network {
   std::vector<std::pair<std::string, torch::Tensor>> parameters_;
   std::vector<std::pair<std::string, torch::Tensor>> buffers_;
 };
+
+/// The cloth's own axes at each coarse texel, and what is seen in them.
+struct LocalFrame {
+  torch::Tensor axes;      ///< (N, 9, h, w): unit vectors along u, across it in the sheet, and normal
+  torch::Tensor features;  ///< (N, 17, h, w): strain (3), second differences (9), normal (2), velocity (3)
+};
+
+/// x: (N, 9, h, w) normalised; minimum, range: (1, 9, 1, 1); rest: (1, 3, h, w) metres.
+LocalFrame local_frame(const torch::Tensor& x, const torch::Tensor& minimum, const torch::Tensor& range,
+                       const torch::Tensor& rest);
+
+/// Vectors in axes of the cloth -> in axes of the alignment. y: (N, 9, H, W), three vectors a texel; axes: (N, 9, H,
+/// W).
+torch::Tensor from_local(const torch::Tensor& y, const torch::Tensor& axes);
+/// The inverse, for orthonormal axes.
+torch::Tensor to_local(const torch::Tensor& y, const torch::Tensor& axes);
 
 /// Bilinear upsampling by four with the texel-centre convention. x: (N, C, h, w); returns (N, C, 4h, 4w).
 torch::Tensor upsample_bilinear(const torch::Tensor& x);

@@ -87,7 +87,10 @@ void save_checkpoint(const std::string& path, const std::string& config_json, co
     archive.write("second_" + name, adam.second[i]);
     archive.write("average_" + name, adam.average[i]);
   }
-  for (const auto& [name, value] : network.buffers()) archive.write("buffer_" + name, value);
+  for (const auto& [name, value] : network.buffers()) {
+    // The mesh's constants follow from the data set.
+    if (name.rfind("base_", 0) != 0) archive.write("buffer_" + name, value);
+  }
   const std::string partial = path + ".partial";
   try {
     archive.save_to(partial);
@@ -129,13 +132,14 @@ void load_checkpoint(const std::string& path, const std::string& config_json, Ne
     loaded.tensor("second_" + name, adam.second[i]);
     loaded.tensor("average_" + name, adam.average[i]);
   }
-  for (auto [name, value] : network.buffers()) loaded.tensor("buffer_" + name, value);
+  for (auto [name, value] : network.buffers()) {
+    if (name.rfind("base_", 0) != 0) loaded.tensor("buffer_" + name, value);
+  }
 }
 
 void load_initial(const std::string& path, Network& network) {
   Loaded loaded(path);
   for (auto [name, value] : network.parameters()) loaded.tensor("average_" + name, value);
-  for (auto [name, value] : network.buffers()) loaded.tensor("buffer_" + name, value);
 }
 
 }  // namespace pleat::superres

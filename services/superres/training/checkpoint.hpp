@@ -29,7 +29,7 @@ void save_checkpoint(const std::string& path, const std::string& config_json, co
 void load_checkpoint(const std::string& path, const std::string& config_json, Network& network, Adam& adam,
                      TrainState& state);
 
-/// Takes the averaged weights and the conditioning of a check-point only; the architecture has to be the same.
+/// Takes the averaged weights of a check-point only; the architecture has to be the same.
 void load_initial(const std::string& path, Network& network);
 
 }  // namespace pleat::superres

@@ -27,7 +27,8 @@ void visit(Visitor& v, Config& c) {
     v.value("growth", c.architecture.growth);
     v.value("features", c.architecture.features);
     v.value("upsampling", c.architecture.upsampling);
-    v.value("residual", c.architecture.residual);
+    v.choice("residual", c.architecture.residual, {"none", "bilinear", "mesh"});
+    v.choice("axes", c.architecture.axes, {"aligned", "local"});
     v.value("conditioned", c.architecture.conditioned);
   });
   v.section("images", [&] {
@@ -199,6 +200,9 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   }
   if ((config.images.coarse_width == 0) != (config.images.coarse_height == 0)) {
     throw_invalid_argument(source + ": keys 'images.coarse_width' and 'images.coarse_height' go together");
+  }
+  if (config.architecture.axes == "local" && config.patch != 0) {
+    throw_invalid_argument(source + ": key 'architecture.axes' = 'local' needs whole images, 'patch' = 0");
   }
   validate(config.architecture);
   return config;

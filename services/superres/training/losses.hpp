@@ -9,11 +9,12 @@ namespace pleat::superres {
 
 /// One batch: B windows of F consecutive frames, flattened to N = B F images, window by window.
 struct Batch {
-  torch::Tensor coarse;     ///< (N, 9, h, w) normalised
-  torch::Tensor fine;       ///< (N, 9, 4h, 4w) normalised
-  torch::Tensor mask;       ///< (N, 1, 4h, 4w): 1 where a texel is valid
-  torch::Tensor rotations;  ///< (N, 3, 3): rigid alignment of each frame, world to rest
-  int frames = 1;           ///< F
+  torch::Tensor coarse;           ///< (N, 9, h, w) normalised
+  torch::Tensor fine;             ///< (N, 9, 4h, 4w) normalised
+  torch::Tensor mask;             ///< (N, 1, 4h, 4w): 1 where a texel is valid
+  torch::Tensor base, structure;  ///< residual "mesh": (N, 9, 4h, 4w) and (N, 32, h, w), else undefined
+  torch::Tensor rotations;        ///< (N, 3, 3): rigid alignment of each frame, world to rest
+  int frames = 1;                 ///< F
 };
 
 /// What the losses need to know of the data.

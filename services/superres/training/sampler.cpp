@@ -119,6 +119,14 @@ Sampler::Sampler(const TrainConfig& config, const PairData& data) : config_(conf
   if (config.mirror && data.sheet_axes.size() != 2) {
     throw_invalid_argument("key 'mirror': the rest mesh is not flat, its mirror image is another garment");
   }
+  if (config.architecture.residual == "mesh") {
+    if (data.mesh_base.structure.size() != static_cast<std::size_t>(kStructureChannels * height * width)) {
+      throw_invalid_argument("data set: no mesh base, which residual 'mesh' needs");
+    }
+    // As a fine image, whose parts and mirror images are easy to take.
+    structure_ = torch::pixel_shuffle(
+        torch::tensor(data.mesh_base.structure).view({1, kStructureChannels, height, width}), kScale);
+  }
   const double texels = static_cast<double>(data.training_frames()) * height * width;
   const double step_texels = static_cast<double>(config.batch) * frames_ * patch_height_ * patch_width_;
   steps_ = config.steps_per_epoch > 0 ? config.steps_per_epoch
@@ -162,6 +170,11 @@ Batch Sampler::batch(int epoch, int step) const {
   batch.fine = torch::empty({images, kChannels, fine_h, fine_w});
   batch.mask = torch::empty({images, 1, fine_h, fine_w});
   batch.rotations = torch::empty({images, 3, 3});
+  const bool mesh = config_.architecture.residual == "mesh";
+  if (mesh) {
+    batch.base = torch::empty_like(batch.fine);
+    batch.structure = torch::empty({images, kStructureChannels, h, w});
+  }
   Random random(config_.seed, epoch, step, 2);
   std::int64_t n = 0;
   for (const Window& window : windows) {
@@ -188,6 +201,16 @@ Batch Sampler::batch(int epoch, int step) const {
           for (std::size_t k = 0; k < 3; ++k) sum += mirror.matrix[i][k] * own[3 * k + j];
           rotation[3 * i + j] = static_cast<float>(sum);
         }
+      }
+      if (mesh) {
+        auto base = batch.base[n];
+        sequence.base.read(frame, kScale * row, kScale * column, fine_h, fine_w, base.data_ptr<float>());
+        if (mirror.any()) base.copy_(mirror_image(base.clone(), mirror, data_.normalization));
+        auto structure = structure_.slice(2, kScale * row, kScale * row + fine_h)
+                             .slice(3, kScale * column, kScale * column + fine_w);
+        if (mirror.reverse_u) structure = structure.flip({3});
+        if (mirror.reverse_v) structure = structure.flip({2});
+        batch.structure[n].copy_(torch::pixel_unshuffle(structure, kScale)[0]);
       }
       if (mirror.any()) {
         coarse.copy_(mirror_image(coarse.clone(), mirror, data_.normalization));

@@ -35,6 +35,7 @@ class Sampler {
   const PairData& data_;
   int frames_, patch_height_, patch_width_, steps_;
   std::vector<Window> windows_;
+  torch::Tensor structure_;  ///< (1, 2, H, W)
 };
 
 }  // namespace pleat::superres

@@ -79,23 +79,49 @@ void cut_log(const std::string& path, int epoch) {
   if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, path + ": can't write");
 }
 
-std::vector<float> channel_deviation(const torch::Tensor& sum, const torch::Tensor& squares, double count) {
-  const auto mean = sum / count;
-  const auto deviation = (squares / count - mean.square()).clamp_min(0).sqrt().clamp_min(1e-6).to(torch::kFloat32);
-  return {deviation.data_ptr<float>(), deviation.data_ptr<float>() + kChannels};
-}
+/// Mean and deviation per channel, gathered image by image.
+class Statistics {
+ public:
+  explicit Statistics(int channels) : sum_(torch::zeros({channels}, torch::kFloat64)), squares_(sum_.clone()) {}
 
-Conditioning measure(const PairData& data) {
+  /// values: (1, C, h, w); mask: (1, 1, h, w) of 0 and 1.
+  void add(const torch::Tensor& values, const torch::Tensor& mask) {
+    const auto weighted = values.to(torch::kFloat64) * mask;
+    sum_ += weighted.sum(torch::IntArrayRef{0, 2, 3});
+    squares_ += weighted.square().sum(torch::IntArrayRef{0, 2, 3});
+    count_ += mask.sum().item<double>();
+  }
+  std::vector<float> mean() const { return to_vector(sum_ / count_); }
+  std::vector<float> deviation() const {
+    return to_vector((squares_ / count_ - (sum_ / count_).square()).clamp_min(0).sqrt().clamp_min(1e-6));
+  }
+
+ private:
+  static std::vector<float> to_vector(const torch::Tensor& t) {
+    const auto values = t.to(torch::kFloat32).contiguous();
+    return {values.data_ptr<float>(), values.data_ptr<float>() + values.numel()};
+  }
+  torch::Tensor sum_, squares_;
+  double count_ = 0;
+};
+
+Conditioning measure(const PairData& data, bool local) {
   const torch::NoGradGuard no_grad;
   const int h = data.coarse_height(), w = data.coarse_width();
   const std::size_t stride = std::max<std::size_t>(1, data.training_frames() / kConditioningFrames);
+  const auto all = torch::ones({1, 1, h, w}, torch::kFloat64);
   const auto mask =
       torch::from_blob(const_cast<std::uint8_t*>(data.fine_mask.data()), {1, 1, kScale * h, kScale * w}, torch::kUInt8)
           .to(torch::kFloat64);
-  torch::Tensor sums[3], squares[3];
-  for (int i = 0; i < 3; ++i) sums[i] = torch::zeros({kChannels}, torch::kFloat64), squares[i] = sums[i].clone();
-  double count = 0, texels = 0, frame = 0;
-  const std::vector<std::int64_t> all{0, 2, 3};
+  torch::Tensor minimum, range, rest;
+  if (local) {
+    minimum = torch::tensor(std::vector<float>(data.normalization.minimum.begin(), data.normalization.minimum.end()));
+    range = torch::tensor(std::vector<float>(data.normalization.maximum.begin(), data.normalization.maximum.end()));
+    minimum = minimum.view({1, kChannels, 1, 1});
+    range = range.view({1, kChannels, 1, 1}) - minimum;
+    rest = torch::tensor(data.mesh_base.rest).view({1, 3, h, w});
+  }
+  Statistics input(kChannels), detail(kChannels), output(kChannels), features(kLocalChannels), local_output(kChannels);
   std::size_t index = 0;
   for (const auto& sequence : data.sequences) {
     if (sequence.validation) continue;
@@ -105,21 +131,26 @@ Conditioning measure(const PairData& data) {
                  fine = torch::empty({1, kChannels, kScale * h, kScale * w});
       sequence.coarse.read(f, 0, 0, h, w, coarse.data_ptr<float>());
       sequence.fine.read(f, 0, 0, kScale * h, kScale * w, fine.data_ptr<float>());
-      const torch::Tensor values[] = {coarse.to(torch::kFloat64), local_detail(coarse).to(torch::kFloat64),
-                                      (fine - upsample_bilinear(coarse)).to(torch::kFloat64) * mask};
-      for (int i = 0; i < 3; ++i) {
-        sums[i] += values[i].sum(all);
-        squares[i] += values[i].square().sum(all);
+      auto base = upsample_bilinear(coarse);
+      if (sequence.base.size() > f) sequence.base.read(f, 0, 0, kScale * h, kScale * w, base.data_ptr<float>());
+      input.add(coarse, all);
+      detail.add(local_detail(coarse), all);
+      output.add(fine - base, mask);
+      if (local) {
+        const auto frame = local_frame(coarse, minimum, range, rest);
+        features.add(frame.features, all);
+        local_output.add(to_local((fine - base) * range, upsample_bilinear(frame.axes)), mask);
       }
-      count += h * w, texels += mask.sum().item<double>(), frame += 1;
     }
   }
   Conditioning result;
-  const auto mean = (sums[0] / count).to(torch::kFloat32).contiguous();
-  result.input_mean.assign(mean.data_ptr<float>(), mean.data_ptr<float>() + kChannels);
-  result.input_deviation = channel_deviation(sums[0], squares[0], count);
-  result.detail_deviation = channel_deviation(sums[1], squares[1], count);
-  result.output_deviation = channel_deviation(sums[2], squares[2], texels);
+  result.input_mean = input.mean(), result.input_deviation = input.deviation();
+  result.detail_deviation = detail.deviation();
+  result.output_deviation = output.deviation();
+  if (local) {
+    result.local_mean = features.mean(), result.local_deviation = features.deviation();
+    result.local_output = local_output.deviation();
+  }
   return result;
 }
 
@@ -147,8 +178,11 @@ class Trainer {
     std::filesystem::create_directories(config_.output, error);
     if (error)
       throw Error(ErrorCode::kResourceExhausted, config_.output + ": can't make the folder: " + error.message());
-    const Conditioning conditioning = measure(data_);
-    network_.set_conditioning(conditioning);
+    const Conditioning conditioning = measure(data_, config_.architecture.axes == "local");
+    for (Network* network : {&network_, &averaged_}) {
+      network->set_conditioning(conditioning);
+      network->set_mesh_base(data_.mesh_base, data_.normalization, data_.coarse_height(), data_.coarse_width());
+    }
     network_.to(device_);
     averaged_.to(device_);
     Adam adam(network_.parameter_values(), config_.optimizer);
@@ -247,7 +281,10 @@ class Trainer {
       }
       Batch batch = sampler_.batch(state_.epoch, state_.step);
       for (auto* t : {&batch.coarse, &batch.fine, &batch.mask, &batch.rotations}) *t = t->to(device_);
-      const Losses losses = compute_losses(network_.forward(batch.coarse, type_), batch, constants_, config_.losses);
+      if (batch.base.defined()) batch.base = batch.base.to(device_), batch.structure = batch.structure.to(device_);
+      const auto synthesized = batch.base.defined() ? network_.forward(batch.coarse, batch.base, batch.structure, type_)
+                                                    : network_.forward(batch.coarse, type_);
+      const Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
       const auto values =
           torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity, losses.kinematic})
               .detach()

@@ -33,7 +33,7 @@ class EngineTest : public testing::Test {
   static Metadata metadata(const std::string& name) {
     Metadata m;
     m.name = name;
-    m.architecture = {1, 2, 4, 8, "subpixel", true, true};
+    m.architecture = {1, 2, 4, 8, "subpixel", "bilinear", "aligned", true};
     m.normalization.minimum.fill(-1);
     m.normalization.maximum.fill(1);
     m.coarse_width = 6, m.coarse_height = 5, m.fine_width = 24, m.fine_height = 20;
@@ -43,7 +43,7 @@ class EngineTest : public testing::Test {
   }
 
   static Network network() {
-    Network network({1, 2, 4, 8, "subpixel", true, true}, 9);
+    Network network({1, 2, 4, 8, "subpixel", "bilinear", "aligned", true}, 9);
     const torch::NoGradGuard no_grad;
     for (auto [name, value] : network.parameters()) {
       if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.1, 0.1, value.numel()).view(value.sizes()));

@@ -16,7 +16,7 @@ using testing::HasSubstr;
 Metadata example() {
   Metadata m;
   m.name = "example";
-  m.architecture = {2, 3, 4, 5, "subpixel", true, true};
+  m.architecture = {2, 3, 4, 5, "subpixel", "bilinear", "aligned", true};
   m.normalization.minimum.fill(-2);
   m.normalization.maximum.fill(3);
   m.coarse_width = 6, m.coarse_height = 5, m.fine_width = 24, m.fine_height = 20;

@@ -70,7 +70,7 @@ class Plain {
         }
       }
     }
-    return a_.residual ? add(out, upsample(x)) : out;
+    return a_.residual == "bilinear" ? add(out, upsample(x)) : out;
   }
 
  private:
@@ -177,8 +177,8 @@ class Plain {
   std::map<std::string, int> outputs_;
 };
 
-Architecture small(const std::string& upsampling, bool residual, bool conditioned) {
-  return {2, 3, 4, 6, upsampling, residual, conditioned};
+Architecture small(const std::string& upsampling, const std::string& residual, bool conditioned) {
+  return {2, 3, 4, 6, upsampling, residual, "aligned", conditioned};
 }
 
 Network make(const Architecture& architecture) {
@@ -207,7 +207,7 @@ torch::Tensor example_input(std::int64_t batch, std::int64_t height, std::int64_
   return (0.5 + 0.45 * torch::sin(ramp * 0.37)).view({batch, kChannels, height, width});
 }
 
-class NetworkVariants : public testing::TestWithParam<std::tuple<const char*, bool, bool>> {
+class NetworkVariants : public testing::TestWithParam<std::tuple<const char*, const char*, bool>> {
  protected:
   Architecture architecture() const {
     return small(std::get<0>(GetParam()), std::get<1>(GetParam()), std::get<2>(GetParam()));
@@ -238,7 +238,8 @@ TEST_P(NetworkVariants, ScriptIsTheSameFunction) {
 }
 
 INSTANTIATE_TEST_SUITE_P(All, NetworkVariants,
-                         testing::Combine(testing::Values("bilinear", "subpixel"), testing::Bool(), testing::Bool()));
+                         testing::Combine(testing::Values("bilinear", "subpixel"), testing::Values("none", "bilinear"),
+                                          testing::Bool()));
 
 TEST(Network, PublishedSizesHaveTheExpectedNumberOfParameters) {
   const Network network(Architecture{}, 1);
@@ -253,7 +254,7 @@ TEST(Network, PublishedSizesHaveTheExpectedNumberOfParameters) {
 
 TEST(Network, UntrainedResidualNetworkIsBilinearUpsampling) {
   for (const char* upsampling : {"bilinear", "subpixel"}) {
-    const Network network(small(upsampling, true, true), 3);
+    const Network network(small(upsampling, "bilinear", true), 3);
     const auto x = example_input(2, 4, 5);
     EXPECT_LT((network.forward(x) - upsample_bilinear(x)).abs().max().item<double>(), 1e-7);
   }
@@ -261,14 +262,14 @@ TEST(Network, UntrainedResidualNetworkIsBilinearUpsampling) {
 
 TEST(Network, SeedDecidesTheWeights) {
   const auto weights = [](std::uint64_t seed) {
-    return Network(small("bilinear", false, false), seed).parameters()[0].second;
+    return Network(small("bilinear", "none", false), seed).parameters()[0].second;
   };
   EXPECT_TRUE(torch::equal(weights(1), weights(1)));
   EXPECT_FALSE(torch::equal(weights(1), weights(2)));
 }
 
 TEST(Network, Bfloat16BodyStaysClose) {
-  const Network network = make(small("subpixel", true, true));
+  const Network network = make(small("subpixel", "bilinear", true));
   const auto x = example_input(1, 8, 8);
   const auto exact = network.forward(x), rounded = network.forward(x, torch::kBFloat16);
   EXPECT_EQ(rounded.scalar_type(), torch::kFloat32);
@@ -278,7 +279,7 @@ TEST(Network, Bfloat16BodyStaysClose) {
 }
 
 TEST(Network, EveryParameterGetsAGradient) {
-  const Network network = make(small("bilinear", true, true));
+  const Network network = make(small("bilinear", "bilinear", true));
   network.forward(example_input(1, 6, 6)).square().sum().backward();
   for (const auto& [name, value] : network.parameters()) {
     ASSERT_TRUE(value.grad().defined()) << name;
@@ -286,11 +287,114 @@ TEST(Network, EveryParameterGetsAGradient) {
   }
 }
 
+constexpr int kMeshHeight = 5, kMeshWidth = 6;
+
+/// A made-up mesh of ten vertices; only its sizes are those of a real one.
+MeshBase example_base() {
+  const std::size_t texels = kMeshHeight * kMeshWidth, fine = 16 * texels;
+  MeshBase base;
+  base.vertices = 10;
+  for (std::size_t i = 0; i < 10 * texels; ++i) base.to_vertices.push_back(0.1F * std::sin(static_cast<float>(i)));
+  for (std::size_t i = 0; i < 3 * fine; ++i) {
+    base.corners.push_back(static_cast<std::int64_t>(i * 7 % 10));
+    base.weights.push_back(1.0F / 3);
+  }
+  for (std::size_t i = 0; i < kStructureChannels * texels; ++i)
+    base.structure.push_back(std::cos(static_cast<float>(i)));
+  for (std::size_t i = 0; i < 3 * texels; ++i) {
+    const std::size_t axis = i / texels, row = i % texels / kMeshWidth, column = i % kMeshWidth;
+    base.rest.push_back(axis == 0   ? 0.1F * static_cast<float>(column)
+                        : axis == 2 ? -0.1F * static_cast<float>(row)
+                                    : 0);
+  }
+  return base;
+}
+
+Normalization example_normalization() {
+  Normalization normalization;
+  for (std::size_t c = 0; c < kChannels; ++c) {
+    normalization.minimum[c] = -0.5F - 0.1F * static_cast<float>(c);
+    normalization.maximum[c] = 0.7F + 0.2F * static_cast<float>(c);
+  }
+  return normalization;
+}
+
+Network make_mesh_network(const std::string& axes) {
+  Architecture architecture = small("subpixel", "mesh", true);
+  architecture.axes = axes;
+  Network network(architecture, 5);
+  network.set_mesh_base(example_base(), example_normalization(), kMeshHeight, kMeshWidth);
+  const torch::NoGradGuard no_grad;
+  for (auto [name, value] : network.parameters()) {
+    if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.02, 0.03, value.numel()).view(value.sizes()));
+  }
+  return network;
+}
+
+TEST(Network, MeshResidualScriptsAreTheSameFunction) {
+  for (const char* axes : {"aligned", "local"}) {
+    const Network network = make_mesh_network(axes);
+    auto module = network.to_script();
+    const auto x = example_input(3, kMeshHeight, kMeshWidth);
+    const auto expected = network.forward(x);
+    EXPECT_LT((module.forward({x}).toTensor() - expected).abs().max().item<double>(), 1e-5) << axes;
+    EXPECT_GT((expected - network.base_image(x)).abs().max().item<double>(), 1e-3) << axes;
+  }
+}
+
+TEST(Network, BaseImageMixesVerticesThatTheImageGives) {
+  const Network network = make_mesh_network("aligned");
+  const MeshBase base = example_base();
+  const auto x = example_input(1, kMeshHeight, kMeshWidth);
+  const auto image = network.base_image(x);
+  const int texels = kMeshHeight * kMeshWidth;
+  for (const std::int64_t t : {0, 37, 200}) {
+    double expected = 0.5;
+    for (std::int64_t k = 0; k < 3; ++k) {
+      const auto i = static_cast<std::size_t>(k * 16 * texels + t);
+      for (int j = 0; j < texels; ++j) {
+        expected += base.weights[i] * base.to_vertices[static_cast<std::size_t>(base.corners[i] * texels + j)] *
+                    (x[0][4].view({-1})[j].item<double>() - 0.5);
+      }
+    }
+    EXPECT_NEAR(image[0][4].view({-1})[t].item<double>(), expected, 1e-5);
+  }
+}
+
+/// Turning the cloth, its normals and velocities turns what a network with local axes adds, and changes nothing else.
+TEST(Network, LocalAxesTurnWithTheCloth) {
+  const Network network = make_mesh_network("local");
+  const Normalization normalization = example_normalization();
+  auto minimum = torch::empty({1, kChannels, 1, 1}), range = torch::empty({1, kChannels, 1, 1});
+  for (std::int64_t c = 0; c < kChannels; ++c) {
+    const auto i = static_cast<std::size_t>(c);
+    minimum[0][c] = normalization.minimum[i];
+    range[0][c] = normalization.maximum[i] - normalization.minimum[i];
+  }
+  const auto rest = torch::tensor(example_base().rest).view({1, 3, kMeshHeight, kMeshWidth});
+  const double a = 0.7;
+  const auto turn = torch::tensor({std::cos(a), -std::sin(a), 0.0, std::sin(a), std::cos(a), 0.0, 0.0, 0.0, 1.0})
+                        .to(torch::kFloat32)
+                        .view({3, 3});
+  const auto rotate = [&](const torch::Tensor& v) { return torch::einsum("ij,njhw->nihw", {turn, v}); };
+  const auto x = example_input(1, kMeshHeight, kMeshWidth);
+  const auto physical = x * range + minimum;
+  const auto turned = torch::cat(
+      {rotate(physical.slice(1, 0, 3) + rest) - rest, rotate(physical.slice(1, 3, 6)), rotate(physical.slice(1, 6, 9))},
+      1);
+  const auto y = (turned - minimum) / range;
+  const auto added = [&](const torch::Tensor& image) {
+    return ((network.forward(image) - network.base_image(image)) * range).slice(1, 0, 3);
+  };
+  const auto expected = rotate(added(x));
+  EXPECT_LT((added(y) - expected).abs().max().item<double>(), 1e-3 * expected.abs().max().item<double>());
+}
+
 TEST(Network, SenselessSizesAreRefused) {
-  EXPECT_THROW(Network({0, 6, 32, 64, "bilinear", false, false}, 1), Error);
-  EXPECT_THROW(Network({16, 6, 32, 100000, "bilinear", false, false}, 1), Error);
-  EXPECT_THROW(Network({16, 6, 32, 64, "nearest", false, false}, 1), Error);
-  Network network(small("bilinear", true, true), 1);
+  EXPECT_THROW(Network({0, 6, 32, 64, "bilinear", "none", "aligned", false}, 1), Error);
+  EXPECT_THROW(Network({16, 6, 32, 100000, "bilinear", "none", "aligned", false}, 1), Error);
+  EXPECT_THROW(Network({16, 6, 32, 64, "nearest", "none", "aligned", false}, 1), Error);
+  Network network(small("bilinear", "bilinear", true), 1);
   Conditioning conditioning;
   conditioning.input_mean.assign(9, 0);
   conditioning.input_deviation.assign(9, 0);

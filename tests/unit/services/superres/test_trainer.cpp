@@ -75,7 +75,7 @@ class TrainerTest : public testing::Test {
     c.name = "waves";
     c.dataset = "none";
     c.output = (root_ / output).string();
-    c.architecture = {1, 2, 8, 8, "subpixel", true, true};
+    c.architecture = {1, 2, 8, 8, "subpixel", "bilinear", "aligned", true};
     c.losses.frames = 2;
     c.losses.scaling = "deviation";
     c.optimizer.learning_rate = 1e-2;
