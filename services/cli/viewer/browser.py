@@ -83,7 +83,7 @@ class Browser:
                             "browserName": "chrome",
                             "goog:chromeOptions": {"binary": chromium, "args": flags},
                             "goog:loggingPrefs": {"browser": "ALL", "performance": "ALL"},
-                            "timeouts": {"script": 120000, "pageLoad": 120000},
+                            "timeouts": {"script": 600000, "pageLoad": 600000},
                         }
                     }
                 },
@@ -138,7 +138,7 @@ class Browser:
         )
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
-            with opener.open(request, timeout=180) as response:
+            with opener.open(request, timeout=660) as response:
                 return json.load(response)["value"]
         except urllib.error.HTTPError as error:
             reason = json.load(error).get("value", {}).get("message", "").splitlines()

@@ -47,7 +47,7 @@ def main():
     width, height = (int(part) for part in options.size.split("x"))
     options.out.mkdir(parents=True, exist_ok=True)
     with Browser(width, height, dark=options.dark, scale=options.scale) as browser:
-        browser.open(options.report.resolve().as_uri() + "#still")
+        browser.open(options.report.resolve().as_uri() + "#still,best")
         browser.wait("window.pleatReport && (pleatReport.ready || pleatReport.error)")
         error = browser.run("return pleatReport.error")
         if error:

@@ -80,7 +80,9 @@ def make_report(folder, *arguments):
 
 
 class ReportTest(unittest.TestCase):
-    """One browser for all tests; each opens the page anew."""
+    """One browser for all tests. They share an opened page where they can: software rendering takes seconds to start."""
+
+    opened = None
 
     @classmethod
     def setUpClass(cls):
@@ -88,15 +90,27 @@ class ReportTest(unittest.TestCase):
         cls.addClassCleanup(cls.folder.cleanup)
         cls.report = make_report(cls.folder.name + "/full")
         cls.plain = make_report(cls.folder.name + "/plain", "plain")
-        cls.browser = Browser(1280, 800)
+        cls.browser = Browser(1000, 640)
         cls.addClassCleanup(cls.browser.close)
 
-    def open(self, report, fragment="#still"):
+    def open(self, report):
+        """Opens the page anew."""
         for kind in ("browser", "performance"):
             self.browser.log(kind)
-        self.browser.open(report.resolve().as_uri() + fragment)
-        self.browser.wait("window.pleatReport && (pleatReport.ready || pleatReport.error)")
+        type(self).opened = None
+        self.browser.open(report)
+        self.browser.wait("window.pleatReport && (pleatReport.ready || pleatReport.error)", 120)
         self.assertIsNone(self.browser.run("return pleatReport.error"))
+        type(self).opened = report
+
+    def use(self, report):
+        """Brings the page to its state after opening, paused."""
+        if self.opened != report:
+            self.open(report)
+        self.browser.run(
+            "const r = pleatReport; r.playing = false; r.frame = 0; r.solo = null; r.wireframe = false; r.setCamera();"
+            "document.activeElement.blur()"
+        )
 
     def picture(self, view):
         """The pixels of a view's panel, after the browser has drawn."""
@@ -116,9 +130,9 @@ class ReportTest(unittest.TestCase):
         return decode_png(self.browser.screenshot(box))
 
     def test_opens_without_errors_and_requests(self):
-        self.open(self.report, "#")
+        self.open(self.report)
         first = self.browser.run("return pleatReport.frame")
-        self.browser.wait(f"pleatReport.frame !== {first}")  # it plays, so drawing runs as well
+        self.browser.wait(f"pleatReport.frame !== {first}", 120)  # it plays, so drawing runs as well
         errors = [entry for entry in self.browser.log("browser") if entry["level"] in ("SEVERE", "WARNING")]
         # Chromium itself remarks on reading pixels back from a software renderer.
         errors = [entry for entry in errors if "GPU stall due to ReadPixels" not in entry["message"]]
@@ -135,7 +149,7 @@ class ReportTest(unittest.TestCase):
         self.assertEqual(len(pages), 1, pages)
 
     def test_every_view_shows_cloth(self):
-        self.open(self.report)
+        self.use(self.report)
         self.assertEqual(self.browser.run("return pleatReport.views"), ["coarse", "enhanced", "reference", "map"])
         self.browser.run("pleatReport.frame = arguments[0]", FRAMES - 1)
         pictures = {view: self.picture(view) for view in ("coarse", "enhanced", "reference", "map")}
@@ -146,7 +160,7 @@ class ReportTest(unittest.TestCase):
         self.assertGreater(difference(pictures["enhanced"], pictures["map"]), 0.10)
 
     def test_time_line_moves_the_cloth(self):
-        self.open(self.report)
+        self.use(self.report)
         self.assertEqual(self.browser.run("return pleatReport.frameCount"), FRAMES)
         seen = {}
         for frame in (0, FRAMES // 2, FRAMES - 1):
@@ -163,7 +177,7 @@ class ReportTest(unittest.TestCase):
             self.assertGreater(difference(seen[FRAMES // 2][view], seen[FRAMES - 1][view]), 0.05, view)
 
     def test_frames_do_not_change_by_looking(self):
-        self.open(self.report)
+        self.use(self.report)
         self.browser.run("pleatReport.frame = 10")
         before = self.picture("enhanced")
         self.browser.run("pleatReport.frame = 20")
@@ -171,8 +185,8 @@ class ReportTest(unittest.TestCase):
         self.assertLess(difference(before, self.picture("enhanced")), 0.001)
 
     def test_keyboard_and_player(self):
-        self.open(self.report)
-        self.browser.run("pleatReport.frame = 5; document.activeElement.blur()")
+        self.use(self.report)
+        self.browser.run("pleatReport.frame = 5")
         self.browser.press("\ue014")  # right
         self.assertEqual(self.browser.run("return pleatReport.frame"), 6)
         self.browser.press("\ue011")  # home
@@ -185,11 +199,11 @@ class ReportTest(unittest.TestCase):
         self.assertIsNone(self.browser.run("return pleatReport.solo"))
         self.browser.press(" ")
         self.assertTrue(self.browser.run("return pleatReport.playing"))
-        self.browser.wait(f"pleatReport.frame !== {FRAMES - 1}")
+        self.browser.wait(f"pleatReport.frame !== {FRAMES - 1}", 120)
         self.browser.run("pleatReport.playing = false")
 
     def test_cameras_are_linked(self):
-        self.open(self.report)
+        self.use(self.report)
         self.browser.run("pleatReport.frame = arguments[0]", FRAMES - 1)
         before = {view: self.picture(view) for view in ("coarse", "map")}
         x, y = self.browser.run(
@@ -201,7 +215,7 @@ class ReportTest(unittest.TestCase):
             self.assertGreater(difference(picture, self.picture(view)), 0.05, view)
 
     def test_charts_and_figures(self):
-        self.open(self.report)
+        self.use(self.report)
         figures = json.loads((self.report.parent / "report.json").read_text())
         for chart in ("stage-chart", "distance-chart"):
             box = self.browser.run(
@@ -224,7 +238,7 @@ class ReportTest(unittest.TestCase):
         self.assertAlmostEqual(mean_square**0.5, expected, delta=0.02 * expected)
 
     def test_without_a_reference_the_added_detail_is_shown(self):
-        self.open(self.plain)
+        self.use(self.plain)
         self.assertEqual(self.browser.run("return pleatReport.views"), ["coarse", "enhanced", "map"])
         self.assertEqual(self.browser.run("return pleatReport.map"), "detail")
         self.browser.run("pleatReport.frame = arguments[0]", FRAMES - 1)
@@ -235,7 +249,8 @@ class ReportTest(unittest.TestCase):
         text = self.report.read_text()
         start = text.index(">", text.index('id="pleat-enhanced"')) + 1
         damaged.write_text(text[: start + 1000] + text[text.index("</script>", start) :])
-        self.browser.open(damaged.resolve().as_uri())
+        type(self).opened = None
+        self.browser.open(damaged)
         self.browser.wait("window.pleatReport && pleatReport.error")
         notice = self.browser.run("const n = document.getElementById('notice'); return n.hidden ? '' : n.textContent")
         self.assertIn("can't be shown", notice)
