@@ -1,5 +1,6 @@
 #include "common/mesh/triangle_intersection.hpp"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 
@@ -156,6 +157,38 @@ bool any_edge_intersects(const Triangle3f& edges_of, const std::array<int, 3>& s
   return false;
 }
 
+// Rounding errors of the sums of three products below are smaller than this, relative to the sizes involved.
+constexpr double kSeparationMargin = 1e-13;
+
+// Whether the plane between the centres certainly parts the triangles. Spares most exact sums between neighbours in one
+// plane, for which every orient3d is in doubt.
+bool certainly_apart(const Triangle3f& a, const Triangle3f& b) {
+  std::array<Eigen::Vector3d, 3> p, q;
+  for (std::size_t k = 0; k < 3; ++k) {
+    p[k] = a[k].cast<double>();
+    q[k] = b[k].cast<double>();
+  }
+  const Eigen::Vector3d axis = (q[0] + q[1] + q[2]) - (p[0] + p[1] + p[2]);
+  const double high = std::max({axis.dot(p[0]), axis.dot(p[1]), axis.dot(p[2])});
+  const double low = std::min({axis.dot(q[0]), axis.dot(q[1]), axis.dot(q[2])});
+  double size = 0;
+  for (std::size_t k = 0; k < 3; ++k) size = std::max({size, p[k].cwiseAbs().maxCoeff(), q[k].cwiseAbs().maxCoeff()});
+  return low - high > kSeparationMargin * axis.lpNorm<1>() * size;
+}
+
+// Whether a plane through the common vertex v certainly parts the rest of (v, a1, a2) from the rest of (v, b1, b2).
+bool certainly_apart_at(const Vec3& v, const Vec3& a1, const Vec3& a2, const Vec3& b1, const Vec3& b2) {
+  const Eigen::Vector3d vd = v.cast<double>();
+  const auto direction = [&vd](const Vec3& x) -> Eigen::Vector3d {
+    const Eigen::Vector3d d = x.cast<double>() - vd;
+    return d / std::max(d.norm(), 1e-300);
+  };
+  const Eigen::Vector3d p1 = direction(a1), p2 = direction(a2), q1 = direction(b1), q2 = direction(b2);
+  const Eigen::Vector3d axis = (p1 + p2) - (q1 + q2);
+  return axis.dot(p1) > kSeparationMargin && axis.dot(p2) > kSeparationMargin && axis.dot(q1) < -kSeparationMargin &&
+         axis.dot(q2) < -kSeparationMargin;
+}
+
 }  // namespace
 
 int orient3d(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
@@ -195,6 +228,7 @@ bool segment_intersects_triangle(const Vec3& p, const Vec3& q, const Triangle3f&
 }
 
 bool triangles_intersect(const Triangle3f& a, const Triangle3f& b) {
+  if (certainly_apart(a, b)) return false;
   const std::array<int, 3> side_a = sides(b, a);
   if (all_on_one_side(side_a)) return false;
   const std::array<int, 3> side_b = sides(a, b);
@@ -219,11 +253,20 @@ bool faces_intersect(const Positions& positions, const Faces& faces, std::uint32
   if (common == 0) return triangles_intersect(a, b);
   if (common == 1) {
     const int i = common_a[0], j = common_b[0];
+    if (certainly_apart_at(corner(first, i), corner(first, (i + 1) % 3), corner(first, (i + 2) % 3),
+                           corner(second, (j + 1) % 3), corner(second, (j + 2) % 3))) {
+      return false;
+    }
     return segment_intersects_triangle(corner(first, (i + 1) % 3), corner(first, (i + 2) % 3), b) ||
            segment_intersects_triangle(corner(second, (j + 1) % 3), corner(second, (j + 2) % 3), a);
   }
   const Vec3 u = corner(first, common_a[0]), v = corner(first, common_a[1]);
   const Vec3 p = corner(first, 3 - common_a[0] - common_a[1]), q = corner(second, 3 - common_b[0] - common_b[1]);
+  // Not folded by more than a right angle: certainly on different sides of the edge.
+  const Eigen::Vector3d ud = u.cast<double>(), edge = v.cast<double>() - ud;
+  const Eigen::Vector3d up = p.cast<double>() - ud, uq = q.cast<double>() - ud;
+  const double bound = edge.squaredNorm() * (up.squaredNorm() + uq.squaredNorm());
+  if (edge.cross(up).dot(edge.cross(uq)) < -kSeparationMargin * bound) return false;
   if (orient3d(u, v, p, q) != 0) return false;
   int axis = projection_axis(u, v, p);
   if (axis < 0) axis = projection_axis(u, v, q);
