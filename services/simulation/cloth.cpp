@@ -39,6 +39,9 @@ Cloth::Cloth(const Topology& mesh, Points initial, std::vector<std::vector<std::
   const Points obstacles = contact_.obstacle_particles(0);
   positions_.insert(positions_.end(), obstacles.begin(), obstacles.end());
   velocities_.resize(positions_.size(), Vector3d::Zero());
+  // The linear solver starts from the last change of velocity: from a fall's before the first step.
+  const Eigen::Vector3f fall = (scene.gravity * scene.frame_time_s / scene.steps_per_frame).cast<float>();
+  for (Float4& change : dynamics_.last_change()) change = Float4{fall.x(), fall.y(), fall.z(), 0};
   for (auto& vertices : handle_vertices) {
     handles_.emplace_back();
     handles_.back().anchors.assign(vertices.size(), Vector3d::Zero());

@@ -33,7 +33,7 @@ struct Handle {
   double end_s = 1e30;     ///< released then
   bool hard = false;       ///< positions are prescribed instead of pulled
   double stiffness = 1e3;  ///< N/m per vertex, soft handles
-  Motion motion = {};      ///< applied to the positions the vertices have at the start of the handle
+  Motion motion;           ///< applied to the positions the vertices have at the start of the handle
 };
 
 /// A sphere (radius > 0, no mesh) or a closed triangle mesh, rigidly moved. It pushes the cloth and never yields.

@@ -1,0 +1,258 @@
+#include "services/simulation/service.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <thread>
+
+#include "common/frame/messages.hpp"
+#include "common/rpc/stream.hpp"
+#include "services/simulation/scene_messages.hpp"
+#include "tests/unit/services/simulation/garments.hpp"
+
+namespace pleat::simulation {
+namespace {
+
+using testing::HasSubstr;
+
+v1::Scene scene_message(int frames) {
+  v1::Scene scene;
+  scene.set_name("test");
+  *scene.mutable_garment_mesh() = to_message(sheet(4, 4, 0.5, 0.5));
+  std::ifstream file("deploy/materials/gray-interlock.json");
+  std::ostringstream text;
+  text << file.rdbuf();
+  scene.set_material_json(text.str());
+  scene.set_frames(static_cast<std::uint32_t>(frames));
+  scene.add_handles()->add_vertices(0);
+  scene.set_perturbation_m(1e-3);
+  auto* ball = scene.add_obstacles();
+  ball->set_name("ball");
+  for (const double v : {0.0, -0.15, 0.0}) ball->mutable_sphere()->add_center(v);
+  ball->mutable_sphere()->set_radius(0.1);
+  return scene;
+}
+
+using Stream = rpc::FrameStream<v1::SimulateRequest, v1::SimulateResponse>;
+
+class ServiceTest : public testing::Test {
+ protected:
+  ServiceTest() : metrics_("simulation"), service_({.threads = 1, .max_vertices = 100'000}, metrics_) {
+    grpc::ServerBuilder builder;
+    builder.RegisterService(&service_);
+    server_ = builder.BuildAndStart();
+    stub_ = v1::Simulation::NewStub(server_->InProcessChannel({}));
+  }
+  ~ServiceTest() override { server_->Shutdown(std::chrono::system_clock::now() + std::chrono::seconds(5)); }
+
+  std::unique_ptr<Stream> start() {
+    rpc::FrameStreamOptions options;
+    options.peer = "simulation";
+    options.server_driven = true;
+    return std::make_unique<Stream>([&](grpc::ClientContext* context) { return stub_->Simulate(context); }, options);
+  }
+
+  static v1::SimulateRequest open_request(const v1::Scene& scene,
+                                          v1::SimulateOpen::Fine fine = v1::SimulateOpen::FINE_NONE) {
+    v1::SimulateRequest request;
+    *request.mutable_open()->mutable_scene() = scene;
+    request.mutable_open()->set_fine(fine);
+    request.mutable_open()->set_window(2);
+    return request;
+  }
+
+  static void acknowledge(Stream& stream, std::uint64_t index) {
+    v1::SimulateRequest request;
+    request.set_ack_index(index);
+    stream.send(request);
+  }
+
+  void expect_refused(const v1::SimulateRequest& request, ErrorCode code, const std::string& culprit) {
+    const auto stream = start();
+    try {
+      stream->open(request);
+      FAIL() << "accepted: " << culprit;
+    } catch (const Error& e) {
+      EXPECT_EQ(e.code(), code) << e.what();
+      EXPECT_THAT(e.what(), HasSubstr(culprit));
+    }
+  }
+
+  telemetry::Metrics metrics_;
+  SimulationService service_;
+  std::unique_ptr<grpc::Server> server_;
+  std::unique_ptr<v1::Simulation::Stub> stub_;
+};
+
+TEST_F(ServiceTest, StreamsEveryFrameInOrder) {
+  const auto stream = start();
+  const auto opened = stream->open(open_request(scene_message(6), v1::SimulateOpen::FINE_TRACKED));
+  EXPECT_EQ(opened.coarse().rest_positions_size(), 25 * 3);
+  EXPECT_EQ(opened.feature_vertices_size(), 25);
+  ASSERT_EQ(opened.obstacles_size(), 1);
+  EXPECT_EQ(opened.obstacles(0).name(), "ball");
+  const Eigen::Index fine_vertices = from_message(opened.fine()).vertex_count();
+  v1::SimulateResponse response;
+  for (std::uint64_t k = 0; k < 6; ++k) {
+    ASSERT_TRUE(stream->pop(&response));
+    ASSERT_TRUE(response.has_frame());
+    EXPECT_EQ(response.frame().coarse().index(), k);
+    EXPECT_NO_THROW(from_message(response.frame().coarse(), 25));
+    EXPECT_NO_THROW(from_message(response.frame().fine(), fine_vertices));
+    EXPECT_EQ(response.frame().obstacles_size(), 1);
+    EXPECT_GE(response.frame().stage_times_size(), 2);
+    acknowledge(*stream, k);
+  }
+  stream->close();
+  EXPECT_FALSE(stream->pop(&response));
+}
+
+TEST_F(ServiceTest, SendsNoMoreThanTheWindow) {
+  const auto stream = start();
+  stream->open(open_request(scene_message(50)));
+  v1::SimulateResponse response;
+  ASSERT_TRUE(stream->pop(&response));
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_EQ(response.frame().coarse().index(), 1u);
+  // The third frame waits for an acknowledgement: a reader that looks for it finds nothing until then.
+  std::atomic<bool> arrived{false};
+  std::thread reader([&] { arrived = stream->pop(&response); });
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  EXPECT_FALSE(arrived);
+  acknowledge(*stream, 0);
+  reader.join();
+  EXPECT_TRUE(arrived);
+  EXPECT_EQ(response.frame().coarse().index(), 2u);
+  stream->cancel();
+}
+
+TEST_F(ServiceTest, ResumesFromACheckpointWithTheSameFrames) {
+  std::vector<v1::SimulateResponse> frames(8);
+  {
+    const auto stream = start();
+    auto request = open_request(scene_message(8));
+    request.mutable_open()->set_checkpoint_interval(3);
+    stream->open(request);
+    for (std::uint64_t k = 0; k < 8; ++k) {
+      ASSERT_TRUE(stream->pop(&frames[k]));
+      EXPECT_EQ(!frames[k].frame().checkpoint().empty(), k % 3 == 2);
+      acknowledge(*stream, k);
+    }
+    stream->close();
+  }
+  const auto stream = start();
+  auto request = open_request(scene_message(8));
+  request.mutable_open()->set_checkpoint(frames[5].frame().checkpoint());
+  EXPECT_EQ(stream->open(request).next_index(), 6u);
+  v1::SimulateResponse response;
+  for (std::uint64_t k = 6; k < 8; ++k) {
+    ASSERT_TRUE(stream->pop(&response));
+    EXPECT_EQ(response.frame().coarse().SerializeAsString(), frames[k].frame().coarse().SerializeAsString());
+    acknowledge(*stream, k);
+  }
+  stream->close();
+  request.mutable_open()->set_checkpoint("nonsense");
+  expect_refused(request, ErrorCode::kDataLoss, "check-point");
+}
+
+TEST_F(ServiceTest, GoesOnServingAfterAClientVanished) {
+  {
+    const auto stream = start();
+    stream->open(open_request(scene_message(1000), v1::SimulateOpen::FINE_TRACKED));
+    v1::SimulateResponse response;
+    ASSERT_TRUE(stream->pop(&response));
+  }  // gone without a word
+  const auto stream = start();
+  stream->open(open_request(scene_message(1)));
+  v1::SimulateResponse response;
+  EXPECT_TRUE(stream->pop(&response));
+  stream->cancel();
+}
+
+TEST_F(ServiceTest, DrainingEndsSessions) {
+  const auto stream = start();
+  stream->open(open_request(scene_message(1000)));
+  service_.drain();
+  v1::SimulateResponse response;
+  try {
+    for (std::uint64_t k = 0; k < 1000; ++k) {
+      stream->pop(&response);
+      acknowledge(*stream, k);
+    }
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kUnavailable);
+  }
+}
+
+TEST_F(ServiceTest, RefusesBadScenes) {
+  const auto with = [](const std::function<void(v1::SimulateOpen&)>& spoil) {
+    auto request = open_request(scene_message(5));
+    spoil(*request.mutable_open());
+    return request;
+  };
+  constexpr auto kInvalid = ErrorCode::kInvalidArgument;
+  expect_refused(with([](auto& o) { o.mutable_scene()->clear_garment(); }), kInvalid, "garment_mesh");
+  expect_refused(with([](auto& o) { o.mutable_scene()->set_garment_file("/etc/passwd"); }), kInvalid, "garment_file");
+  expect_refused(with([](auto& o) { o.mutable_scene()->set_material_file("x"); }), kInvalid, "material_file");
+  expect_refused(with([](auto& o) { o.mutable_scene()->set_material_json("{}"); }), kInvalid, "density");
+  expect_refused(with([](auto& o) { o.mutable_scene()->set_frames(0); }), kInvalid, "frames");
+  expect_refused(with([](auto& o) { o.mutable_scene()->set_steps_per_frame(4000000000u); }), kInvalid,
+                 "steps per frame");
+  expect_refused(with([](auto& o) { o.mutable_scene()->set_frame_time_s(-1); }), kInvalid, "frame time");
+  expect_refused(with([](auto& o) { o.mutable_scene()->mutable_handles(0)->add_vertices(25); }), kInvalid, "vertex 25");
+  expect_refused(with([](auto& o) { o.mutable_scene()->add_gravity(1); }), kInvalid, "gravity");
+  expect_refused(with([](auto& o) { o.mutable_scene()->mutable_obstacles(0)->clear_shape(); }), kInvalid, "no shape");
+  expect_refused(with([](auto& o) { o.mutable_scene()->mutable_obstacles(0)->mutable_sphere()->set_radius(0.4); }),
+                 kInvalid, "ball");
+  expect_refused(with([](auto& o) { o.mutable_scene()->mutable_placement()->set_angle_deg(3); }), kInvalid, "axis");
+  expect_refused(with([](auto& o) { o.set_window(1000); }), kInvalid, "window");
+  expect_refused(with([](auto& o) {
+                   o.set_fine(v1::SimulateOpen::FINE_FREE);
+                   o.mutable_scene()->set_subdivision_rounds(6);
+                 }),
+                 kInvalid, "subdivision");
+  expect_refused(with([](auto& o) {
+                   o.set_fine(v1::SimulateOpen::FINE_FREE);
+                   o.mutable_scene()->set_subdivision_rounds(5);
+                   *o.mutable_scene()->mutable_garment_mesh() = to_message(sheet(20, 20, 1, 1));
+                 }),
+                 ErrorCode::kResourceExhausted, "limit");
+  v1::SimulateRequest no_open;
+  no_open.set_ack_index(1);
+  expect_refused(no_open, kInvalid, "open");
+}
+
+TEST(SceneMessages, FillInTheContractsDefaults) {
+  const Scene scene = scene_from_message(scene_message(5));
+  EXPECT_EQ(scene.frame_time_s, 0.04);
+  EXPECT_EQ(scene.steps_per_frame, 8);
+  EXPECT_EQ(scene.gravity, Eigen::Vector3d(0, -9.81, 0));
+  EXPECT_EQ(scene.wind.density, 1);
+  EXPECT_EQ(scene.contact.friction, 0.6);
+  EXPECT_EQ(scene.contact.obstacle_friction, 0.3);
+  EXPECT_EQ(scene.handles.at(0).stiffness, 1000);
+  EXPECT_EQ(scene.tracking.spring, 10);
+  EXPECT_TRUE(scene.tracking.two_level);
+  EXPECT_EQ(scene.subdivision_rounds, 2);
+}
+
+TEST(SceneMessages, TurnDegreesIntoRotations) {
+  v1::Scene message = scene_message(5);
+  for (const double v : {0.0, 0.0, 5.0}) message.mutable_placement()->add_axis(v);
+  message.mutable_placement()->set_angle_deg(180);
+  auto* key = message.mutable_handles(0)->add_motion();
+  for (const double v : {0.0, 2.0, 0.0}) key->add_axis(v);
+  key->set_angle_deg(90);
+  message.clear_obstacles();
+  const Scene scene = scene_from_message(message);
+  EXPECT_NEAR(scene.transform.rotation.z(), 3.141592653589793, 1e-12);
+  EXPECT_NEAR(scene.handles.at(0).motion.keys.at(0).rotation.y(), 1.5707963267948966, 1e-12);
+}
+
+}  // namespace
+}  // namespace pleat::simulation
