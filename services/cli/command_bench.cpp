@@ -34,9 +34,6 @@ void print_figures(const std::string& name, const Figures& figures) {
 int bench(const BenchChoice& choice) {
   nlohmann::json json = nlohmann::json::object();
   const nlohmann::json machine = machine_info();
-  if (!choice.json)
-    std::printf("%s, %zu processors, revision %s\n", machine.value("processor", "").c_str(),
-                machine.value("processors", std::size_t{0}), git_revision().c_str());
   for (const Benchmark& benchmark : kBenchmarks) {
     if (!choice.name.empty() && choice.name != benchmark.name) continue;
     const Figures figures = benchmark.run(choice.options);
@@ -45,7 +42,11 @@ int bench(const BenchChoice& choice) {
   }
   json["machine"] = machine;
   json["git_revision"] = git_revision();
-  if (choice.json) std::printf("%s\n", json.dump(2).c_str());
+  if (choice.json)
+    std::printf("%s\n", json.dump(2).c_str());
+  else
+    std::printf("%s, %zu processors, revision %s\n", machine.value("processor", "").c_str(),
+                machine.value("processors", std::size_t{0}), git_revision().c_str());
   return kExitDone;
 }
 

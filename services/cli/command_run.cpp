@@ -25,7 +25,7 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::seconds kCallTimeout{10};
+constexpr std::chrono::seconds kCallTimeout{30};
 constexpr std::chrono::seconds kCancelPatience{20};
 constexpr double kDefaultFrameTime = 0.04;
 
@@ -99,6 +99,9 @@ class Run {
       launch.models = model.folder;
       launch.model = model.name;
       launch.data = out_ / "services";
+      // Jobs of a run that was killed: a coordinator would go on with them.
+      std::error_code ignored;
+      fs::remove_all(launch.data, ignored);
       launch.logs = out_ / "logs";
       launcher_.emplace(launch);
       address_ = launcher_->coordinator();
@@ -147,7 +150,10 @@ class Run {
       if (!latest.id().empty()) job = latest;
       const bool reference = job.state() == v1::Job::STATE_REFERENCE;
       if (job.state() != shown && (reference || job.state() == v1::Job::STATE_RUNNING)) {
-        if (progress) progress->finish();
+        if (progress) {
+          progress->update(job.frames_complete());
+          progress->finish();
+        }
         progress.emplace(reference ? "reference" : "frames", job.frames());
         shown = job.state();
       }

@@ -78,6 +78,8 @@ void EnhanceSession::run(std::uint64_t count, const std::function<CoarseInput(st
     waiting.pop_front();
     ++answered;
   }
+  // The session ends well on both sides before it goes.
+  if (stream_->pop(&response)) throw_internal("the coordinator sent more frames than it was asked for");
 }
 
 }  // namespace pleat::cli

@@ -19,6 +19,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr std::chrono::milliseconds kHealthTimeout{300};
 constexpr std::chrono::milliseconds kPoll{20};
+constexpr std::chrono::milliseconds kCoordinatorHeadStart{500};
 constexpr std::size_t kRestartsPerMinute = 3;
 constexpr const char* kDefaultBundle = "draping";
 
@@ -183,8 +184,9 @@ void Launcher::stop() {
   // The coordinator first, so that it ends its streams before its stages go.
   const Clock::time_point deadline = Clock::now() + options_.stop_grace;
   running_.back().process.send(SIGTERM);
-  running_.back().process.wait_until(deadline);
-  for (Running& running : running_) running.process.send(SIGTERM);
+  running_.back().process.wait_until(std::min(deadline, Clock::now() + kCoordinatorHeadStart));
+  // A second SIGTERM would end the coordinator at once.
+  for (std::size_t i = 0; i + 1 < running_.size(); ++i) running_[i].process.send(SIGTERM);
   for (Running& running : running_) running.process.wait_until(deadline);
   running_.clear();  // kills what is left
 }

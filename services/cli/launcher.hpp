@@ -19,7 +19,7 @@ struct LauncherOptions {
   std::filesystem::path logs;  ///< one file a service; made if need be
   std::string listen;          ///< of the coordinator; empty: a Unix socket
   std::string metrics_listen;  ///< of the coordinator; empty: none
-  std::chrono::seconds start_timeout{120};  ///< until all are healthy
+  std::chrono::seconds start_timeout{300};  ///< until all are healthy
   std::chrono::seconds stop_grace{10};      ///< between SIGTERM and SIGKILL
 };
 

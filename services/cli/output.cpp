@@ -41,9 +41,11 @@ void write_reports(const fs::path& folder, ReportSummary summary) {
               static_cast<long long>(input.coarse_topology.vertex_count()),
               static_cast<long long>(input.fine_topology.vertex_count()), report.value("wall_s", 0.0),
               report.value("frames_per_s", 0.0));
-  for (const auto& [name, stage] : report.at("stages").items())
-    std::printf("  %-14s median %8.2f ms   p95 %8.2f ms\n", name.c_str(), stage.value("median_ms", 0.0),
-                stage.value("p95_ms", 0.0));
+  for (const ReportStage& stage : input.stages) {
+    const nlohmann::json& figures = report.at("stages").at(stage.name);
+    std::printf("  %-14s median %8.2f ms   p95 %8.2f ms\n", stage.name.c_str(), figures.value("median_ms", 0.0),
+                figures.value("p95_ms", 0.0));
+  }
   std::printf("penetrations %llu, self-intersections %llu\n",
               static_cast<unsigned long long>(report.value("penetrations", 0ull)),
               static_cast<unsigned long long>(report.value("self_intersections", 0ull)));

@@ -102,7 +102,7 @@ int run_program(int argc, const char* const* argv) {
   try {
     for (const Command& command : commands)
       if (command.app->parsed()) return command.run();
-    print_error("no command (see pleat --help)");
+    print_error(command_path(root) + ": no command given (see " + command_path(root) + " --help)");
     return kExitWrongInput;
   } catch (const Error& error) {
     print_error(error.what());

@@ -13,7 +13,9 @@ void ResultRecorder::add(const v1::EnhancedFrame& frame, const Positions& coarse
   if (index != frames_)
     throw_internal("frame " + std::to_string(index) + " came where frame " + std::to_string(frames_) + " was due");
   if (!writer_) {
-    for (const v1::StageTime& time : frame.stage_times()) stages_.push_back(time.stage());
+    // Parts of a stage ("simulation.contact") are in their stage already.
+    for (const v1::StageTime& time : frame.stage_times())
+      if (time.stage().find('.') == std::string::npos) stages_.push_back(time.stage());
     ResultOptions file;
     file.topology = options_.topology;
     file.frames = options_.frames;

@@ -30,6 +30,8 @@ struct Case {
   std::map<std::string, std::string> files = {};
 };
 
+void PrintTo(const Case& test, std::ostream* out) { *out << test.name; }
+
 class BadInput : public testing::TestWithParam<Case> {};
 
 TEST_P(BadInput, IsNamedInOneLine) {
@@ -77,7 +79,7 @@ std::vector<std::string> enhance(const std::string& rest, const std::string& fra
 std::vector<std::string> run_scene() { return {"run", "@/scene.json", "--out", "@/out"}; }
 
 const Case kCases[] = {
-    {"no_command", {}, 2, "no command"},
+    {"no_command", {}, 2, "no command given"},
     {"unknown_command", {"fold"}, 2, "fold"},
     {"unknown_option", {"run", "x", "--out", "y", "--speed", "9"}, 2, "--speed"},
     {"run_no_scene", {"run", "--out", "@/out"}, 2, "scene"},
@@ -198,7 +200,7 @@ const Case kCases[] = {
     {"export_not_a_result", {"export", "@/file", "--format", "pc2"}, 2, "/file"},
     {"export_unknown_format", {"export", "@/file", "--format", "fbx"}, 2, "fbx"},
     {"export_unknown_mesh", {"export", "@/file", "--format", "pc2", "--which", "best"}, 2, "best"},
-    {"dataset_no_action", {"dataset"}, 2, "dataset"},
+    {"dataset_no_action", {"dataset"}, 2, "dataset: no command given"},
     {"dataset_info_missing", {"dataset", "info", "@/none"}, 2, "/none"},
     {"dataset_verify_missing", {"dataset", "verify", "@/none"}, 2, "/none"},
     {"dataset_unknown_set", {"dataset", "generate", "@/set", "--set", "dancing"}, 2, "dancing"},
