@@ -17,7 +17,7 @@ namespace pleat::dataset {
 class SmallSet : public ::testing::Test {
  protected:
   SmallSet() {
-    std::string pattern = (std::filesystem::temp_directory_path() / "pleat-dataset-XXXXXX").string();
+    std::string pattern = (std::filesystem::temp_directory_path() / ("pleat-dataset-" + std::string(6, 'X'))).string();
     root = mkdtemp(pattern.data());
     write_obj(root / "cloth.obj", cloth(7, 5));
     options.folder = root / "set";

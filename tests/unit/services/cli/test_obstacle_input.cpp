@@ -1,0 +1,69 @@
+// Obstacles from the command line.
+#include "services/cli/obstacle_input.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+
+#include "common/base/error.hpp"
+
+namespace pleat::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+class ObstacleInputTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
+    ASSERT_NE(::mkdtemp(name.data()), nullptr);
+    folder_ = name;
+    for (const int k : {0, 1}) {
+      std::ofstream(folder_ / ("body" + std::to_string(k) + ".obj"))
+          << "v 0 " << k << " 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+    }
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  fs::path folder_;
+};
+
+TEST_F(ObstacleInputTest, ReadsSpheresWithNamesOfTheirOwn) {
+  const ObstacleInput input({"sphere:0,-0.5,1e-1,0.25", "sphere:1,2,3,4"});
+  ASSERT_EQ(input.shapes().size(), 2u);
+  EXPECT_EQ(input.shapes()[0].name, "sphere");
+  EXPECT_EQ(input.shapes()[1].name, "sphere2");
+  const auto frame = input.at(7);
+  EXPECT_EQ(frame[0].center, Eigen::Vector3f(0, -0.5f, 0.1f));
+  EXPECT_EQ(frame[0].radius, 0.25f);
+  EXPECT_EQ(frame[1].name, "sphere2");
+}
+
+TEST_F(ObstacleInputTest, ReadsAMeshAtRestAndAMovedOne) {
+  const std::string body = (folder_ / "body0.obj").string();
+  const ObstacleInput input({body, body + "@" + (folder_ / "body*.obj").string()});
+  EXPECT_EQ(input.shapes()[0].faces.rows(), 4);
+  EXPECT_EQ(input.shapes()[1].name, "body02");
+  EXPECT_EQ(input.at(1)[0].positions(0, 1), 0);
+  EXPECT_EQ(input.at(0)[1].positions(0, 1), 0);
+  EXPECT_EQ(input.at(1)[1].positions(0, 1), 1);
+  EXPECT_EQ(input.at(9)[1].positions(0, 1), 1) << "the last frame stays";
+}
+
+TEST_F(ObstacleInputTest, NamesWhatIsWrong) {
+  for (const char* text : {"sphere:", "sphere:1,2,3", "sphere:1,2,3,0", "sphere:1,2,3,-1", "sphere:1,2,3,4,5",
+                           "sphere:nan,0,0,1", "sphere:1 2 3 4", "none.obj"}) {
+    try {
+      const ObstacleInput input({text});
+      ADD_FAILURE() << "accepted " << text;
+    } catch (const Error& error) {
+      EXPECT_THAT(error.what(), testing::HasSubstr(text));
+    }
+  }
+}
+
+}  // namespace
+}  // namespace pleat::cli
