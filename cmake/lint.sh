@@ -19,7 +19,7 @@ mapfile -t rows < <(git grep -lIE '#include *[<"](grpc|google/protobuf|spdlog|pl
 ((${#rows[@]})) && complain "transport or logging headers in a plain library:" "${rows[@]}"
 mapfile -t rows < <(git ls-files 'services/*/main.cpp' | while read -r f; do n=$(wc -l <"$f"); ((n > 60)) && echo "$f: $n lines"; done || true)
 ((${#rows[@]})) && complain "main.cpp over 60 lines (wiring only):" "${rows[@]}"
-mapfile -t rows < <(git grep -nIE '(TODO|FIXME|XXX|HACK)' -- '*.cpp' '*.hpp' '*.proto' '*.py' '*.sh' ':!cmake/lint.sh' || true)
+mapfile -t rows < <(git grep -nIE '\b(TODO|FIXME|XXX|HACK)\b' -- '*.cpp' '*.hpp' '*.proto' '*.py' '*.sh' ':!cmake/lint.sh' || true)
 ((${#rows[@]})) && complain "unfinished work:" "${rows[@]}"
 
 if [[ -f $build/compile_commands.json ]]; then

@@ -6,6 +6,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -134,6 +135,56 @@ TEST(ServerAddress, OtherHostsNeedTls) {
                 },
                 "/nowhere/"),
             ErrorCode::kNotFound);
+}
+
+/// A certificate authority and a certificate of it, made by the openssl command.
+class Certificates {
+ public:
+  explicit Certificates(const std::string& name) : folder_("/tmp/pleat-test-" + name + "-" + std::to_string(getpid())) {
+    std::filesystem::create_directories(folder_);
+    const std::string script =
+        "cd " + folder_ +
+        " && openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=authority -keyout ca.key -out ca.pem"
+        " && openssl req -newkey rsa:2048 -nodes -subj /CN=pleat.test -keyout key.pem -out request.pem"
+        " && printf 'subjectAltName=DNS:pleat.test' > names"
+        " && openssl x509 -req -days 2 -in request.pem -CA ca.pem -CAkey ca.key -CAcreateserial -extfile names"
+        " -out certificate.pem";
+    made_ = std::system(("(" + script + ") > /dev/null 2>&1").c_str()) == 0;
+  }
+  ~Certificates() {
+    std::error_code error;
+    std::filesystem::remove_all(folder_, error);
+  }
+  Certificates(const Certificates&) = delete;
+  Certificates& operator=(const Certificates&) = delete;
+  bool made() const { return made_; }
+  TlsOptions tls() const {
+    return {folder_ + "/ca.pem", folder_ + "/certificate.pem", folder_ + "/key.pem", "pleat.test"};
+  }
+
+ private:
+  std::string folder_;
+  bool made_ = false;
+};
+
+TEST(ServerTls, OnlyClientsOfTheSameAuthorityGetIn) {
+  const Certificates ours("ours"), theirs("theirs");
+  if (!ours.made() || !theirs.made()) GTEST_SKIP() << "no openssl command";
+  SampleRefinement service;
+  ServerOptions options;
+  options.listen = "0.0.0.0:0";
+  options.tls = ours.tls();
+  const Server server(options, {{&service, "pleat.v1.Refinement"}});
+  const std::string address = "127.0.0.1" + server.address().substr(server.address().rfind(':'));
+  wait_healthy(create_channel(address, ours.tls()), "pleat.v1.Refinement", address, 10s);
+  EXPECT_FALSE(is_healthy(create_channel(address), "pleat.v1.Refinement", 500ms)) << "without TLS";
+  EXPECT_FALSE(is_healthy(create_channel(address, theirs.tls()), "pleat.v1.Refinement", 500ms)) << "another authority";
+  TlsOptions stranger = theirs.tls();
+  stranger.ca_file = ours.tls().ca_file;  // trusts us, but we do not know it
+  EXPECT_FALSE(is_healthy(create_channel(address, stranger), "pleat.v1.Refinement", 500ms));
+  TlsOptions other_name = ours.tls();
+  other_name.server_name = "elsewhere.test";
+  EXPECT_FALSE(is_healthy(create_channel(address, other_name), "pleat.v1.Refinement", 500ms));
 }
 
 /// The sample service as a process of its own.

@@ -19,7 +19,7 @@ namespace pleat::testing_store {
 class Folder {
  public:
   Folder() {
-    std::string pattern = (std::filesystem::temp_directory_path() / "pleat-store-XXXXXX").string();
+    std::string pattern = (std::filesystem::temp_directory_path() / ("pleat-store-" + std::string(6, 'X'))).string();
     path_ = mkdtemp(pattern.data());
   }
   ~Folder() {
