@@ -78,6 +78,7 @@ void add_options(config::Options& options, ServerOptions& server) {
       .add("tls-key", server.tls.key_file, "PEM file of its key")
       .add("reflection", server.reflection, "offer gRPC reflection")
       .add("metrics-listen", server.metrics_listen, "Prometheus endpoint 127.0.0.1:PORT; empty: none")
+      .add("metrics-anywhere", server.metrics_anywhere, "allow a metrics address beyond loopback (containers)")
       .add("drain-s", server.drain_s, "seconds that calls may take to end after the first signal")
       .add("max-threads", server.max_threads, "threads for calls in flight")
       .add("die-with-parent", server.die_with_parent, "end when the process that started this one ends")
@@ -170,7 +171,7 @@ int run_server(const ServerOptions& options, const std::vector<HostedService>& s
     prctl(PR_SET_PDEATHSIG, SIGTERM);
     if (getppid() != parent) throw Error(ErrorCode::kCancelled, "the parent process has ended");
   }
-  if (!options.metrics_listen.empty()) metrics.serve(options.metrics_listen);
+  if (!options.metrics_listen.empty()) metrics.serve(options.metrics_listen, options.metrics_anywhere);
   Server server(options, services);
   spdlog::info("serving at {}", server.address());
   std::printf("ready %s\n", server.address().c_str());

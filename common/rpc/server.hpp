@@ -24,6 +24,8 @@ struct ServerOptions {
   bool reflection = true;
   /// Prometheus endpoint "127.0.0.1:PORT"; empty: none.
   std::string metrics_listen;
+  /// Allows a metrics address beyond loopback: inside a container, where only the published port counts.
+  bool metrics_anywhere = false;
   /// Calls that still run this long after the first signal are cancelled.
   double drain_s = 5;
   /// Threads that gRPC may use for calls in flight: the bound on sessions.
@@ -33,7 +35,8 @@ struct ServerOptions {
   telemetry::LogOptions log;
 };
 
-/// Adds the flags of ServerOptions: --listen, --metrics-listen, --tls-ca, --tls-certificate, --tls-key, --reflection,
+/// Adds the flags of ServerOptions: --listen, --metrics-listen, --metrics-anywhere, --tls-ca, --tls-certificate,
+/// --tls-key, --reflection,
 /// --drain-s, --max-threads, --die-with-parent, --log-level, --log-format.
 void add_options(config::Options& options, ServerOptions& server);
 

@@ -52,10 +52,11 @@ struct Metrics::State {
 Metrics::Metrics(const std::string& service) : state_(std::make_unique<State>(service)) {}
 Metrics::~Metrics() = default;
 
-void Metrics::serve(const std::string& address) {
+void Metrics::serve(const std::string& address, bool anywhere) {
   const bool local =
       address.rfind("127.", 0) == 0 || address.rfind("localhost:", 0) == 0 || address.rfind("[::1]:", 0) == 0;
-  if (!local) throw_invalid_argument("metrics address " + address + " is not on loopback");
+  if (!local && !anywhere)
+    throw_invalid_argument("metrics address " + address + " is not on loopback (--metrics-anywhere allows it)");
   try {
     state_->exposer = std::make_unique<prometheus::Exposer>(address, 1);
   } catch (const std::exception& error) {

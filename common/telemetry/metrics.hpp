@@ -22,8 +22,9 @@ class Metrics {
   Metrics(const Metrics&) = delete;
   Metrics& operator=(const Metrics&) = delete;
 
-  /// Serves http://ADDRESS/metrics. Throws kUnavailable if the address is taken, kInvalidArgument if it is not local.
-  void serve(const std::string& address);
+  /// Serves http://ADDRESS/metrics. Throws kUnavailable if the address is taken, kInvalidArgument if it is not local
+  /// and `anywhere` was not asked for: the page is plain text, readable by whoever reaches it.
+  void serve(const std::string& address, bool anywhere = false);
 
   void frame_done(const std::string& stage, double seconds, bool ok);
   void add_sessions(int delta);

@@ -57,10 +57,12 @@ void print_error(const std::string& message) {
 
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls) {
   const auto group = app.add_option_group("TLS", "for a coordinator on another host");
-  group->add_option("--tls-ca", tls.ca_file, "certificate authority, PEM file");
-  group->add_option("--tls-certificate", tls.certificate_file, "this client's certificate, PEM file");
-  group->add_option("--tls-key", tls.key_file, "its key, PEM file");
-  group->add_option("--tls-server-name", tls.server_name, "name in the server's certificate, if it is not the address");
+  group->add_option("--tls-ca", tls.ca_file, "certificate authority, PEM file")->envname("PLEAT_TLS_CA");
+  group->add_option("--tls-certificate", tls.certificate_file, "this client's certificate, PEM file")
+      ->envname("PLEAT_TLS_CERTIFICATE");
+  group->add_option("--tls-key", tls.key_file, "its key, PEM file")->envname("PLEAT_TLS_KEY");
+  group->add_option("--tls-server-name", tls.server_name, "name in the server's certificate, if it is not the address")
+      ->envname("PLEAT_TLS_SERVER_NAME");
 }
 
 CLI::Validator positive_number() {
