@@ -1,4 +1,7 @@
+#include <sys/resource.h>
+
 #include <algorithm>
+#include <csignal>
 #include <fstream>
 
 #include "common/frame/messages.hpp"
@@ -265,6 +268,42 @@ TEST_F(JobsTest, AMissingServiceIsNamedWithItsAddress) {
   const grpc::Status status = create(request, &refused);
   EXPECT_EQ(status.error_code(), grpc::StatusCode::UNAVAILABLE);
   EXPECT_NE(status.error_message().find("simulation at " + fakes_.simulation().address()), std::string::npos);
+}
+
+/// Files of this process can't grow beyond a size while it lives, as on a full disk.
+class FullDisk {
+ public:
+  explicit FullDisk(std::uintmax_t size) {
+    std::signal(SIGXFSZ, SIG_IGN);
+    getrlimit(RLIMIT_FSIZE, &before_);
+    const rlimit limit{static_cast<rlim_t>(size), before_.rlim_max};
+    setrlimit(RLIMIT_FSIZE, &limit);
+  }
+  ~FullDisk() { setrlimit(RLIMIT_FSIZE, &before_); }
+  FullDisk(const FullDisk&) = delete;
+  FullDisk& operator=(const FullDisk&) = delete;
+
+ private:
+  rlimit before_{};
+};
+
+TEST_F(JobsTest, AFullDiskFailsTheJobNamesTheFileAndKeepsTheFrames) {
+  start();
+  fakes_.simulation().faults.delay(2ms);
+  create(400, "a");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 3; }));
+  const auto partial = std::filesystem::path(options_.data) / "jobs/a/result.h5.partial";
+  v1::Job job;
+  {
+    const FullDisk disk(std::filesystem::file_size(partial) / 2);
+    fakes_.simulation().faults.delay(0ms);
+    job = finished("a");
+  }
+  EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
+  EXPECT_NE(job.error().find("result.h5.partial"), std::string::npos) << job.error();
+  EXPECT_GE(job.frames_complete(), 3U);
+  EXPECT_LT(job.frames_complete(), 400U);
+  expect_right(job.result_path(), job.frames_complete());
 }
 
 TEST_F(JobsTest, ADamagedPartialFileStartsTheJobAnew) {

@@ -1,0 +1,50 @@
+// The five services as real processes over Unix sockets, to be killed and started again.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "pleat/v1/coordinator.grpc.pb.h"
+#include "services/cli/process.hpp"
+
+namespace pleat::testing {
+
+/// Starts pleat-simulation, -conversion, -superres, -refinement and -coordinator from PLEAT_BINARY_DIR/bin. To be used
+/// from the main thread: the kernel ends the children with the thread that started them.
+class ServiceProcesses {
+ public:
+  ServiceProcesses();
+
+  /// "simulation", "conversion", "superres", "refinement", "coordinator"
+  static const std::vector<std::string>& stages();
+
+  void start(const std::string& service);
+  void wait_until_healthy(const std::string& service);
+  /// SIGKILL; returns when the process is gone.
+  void kill(const std::string& service);
+  /// SIGTERM; returns how it ended.
+  std::string terminate(const std::string& service);
+
+  /// One more coordinator with other options, under the name; started and healthy.
+  void start_coordinator(const std::string& name, const std::map<std::string, std::string>& options);
+  std::unique_ptr<v1::Coordinator::Stub> client(const std::string& coordinator = "coordinator") const;
+
+  std::string address(const std::string& service) const;
+  /// A figure of the service's metrics page; -1 if it is not there.
+  double metric(const std::string& service, const std::string& name_and_labels) const;
+  /// The end of the service's log, for messages.
+  std::string log(const std::string& service) const;
+
+  const std::filesystem::path& folder() const { return folder_.path(); }
+
+ private:
+  cli::PrivateFolder folder_;
+  std::filesystem::path executables_;
+  std::map<std::string, int> metrics_ports_;
+  std::map<std::string, std::vector<std::string>> arguments_;
+  std::map<std::string, cli::ChildProcess> running_;
+};
+
+}  // namespace pleat::testing

@@ -1,0 +1,273 @@
+// The whole pipeline as its users run it: five processes on one host.
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <cstring>
+#include <functional>
+#include <set>
+#include <thread>
+
+#include "common/frame/messages.hpp"
+#include "common/rpc/channel.hpp"
+#include "common/store/result.hpp"
+#include "services/cli/scene_file.hpp"
+#include "tests/integration/service_processes.hpp"
+
+namespace pleat::testing {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::uint32_t kFrames = 40;
+
+class ServicesTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    processes_ = std::make_unique<ServiceProcesses>();
+    scene_ = cli::read_scene_file("deploy/scenes/draping.json");
+    stub_ = processes_->client();
+  }
+  static void TearDownTestSuite() {
+    stub_.reset();
+    processes_.reset();
+  }
+
+  static v1::Job create(const std::string& id, std::uint32_t frames, bool reference = false,
+                        v1::Coordinator::Stub* stub = stub_.get()) {
+    v1::CreateJobRequest request;
+    *request.mutable_scene() = scene_;
+    request.set_frames(frames);
+    request.set_reference(reference);
+    request.set_job_id(id);
+    grpc::ClientContext context;
+    v1::Job job;
+    const grpc::Status status = stub->CreateJob(&context, request, &job);
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return job;
+  }
+  static v1::Job get(const std::string& id) {
+    grpc::ClientContext context;
+    v1::GetJobRequest request;
+    request.set_id(id);
+    v1::Job job;
+    const grpc::Status status = stub_->GetJob(&context, request, &job);
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return job;
+  }
+  /// Watches to the end of the job and returns its last state.
+  static v1::Job finished(const std::string& id, v1::Coordinator::Stub* stub = stub_.get()) {
+    grpc::ClientContext context;
+    v1::WatchJobRequest request;
+    request.set_id(id);
+    const auto reader = stub->WatchJob(&context, request);
+    v1::JobEvent event;
+    v1::Job job;
+    while (reader->Read(&event)) job = event.progress();
+    const grpc::Status status = reader->Finish();
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return job;
+  }
+  static bool eventually(const std::function<bool()>& condition, std::chrono::milliseconds limit = 30s) {
+    const auto deadline = std::chrono::steady_clock::now() + limit;
+    while (!condition()) {
+      if (std::chrono::steady_clock::now() > deadline) return false;
+      std::this_thread::sleep_for(20ms);
+    }
+    return true;
+  }
+  static bool all_stages_free() {
+    for (const std::string& stage : ServiceProcesses::stages()) {
+      if (processes_->metric(stage, "pleat_sessions{service=\"" + stage + "\"}") > 0) return false;
+    }
+    return true;
+  }
+  static std::string logs() {
+    std::string all;
+    for (const std::string& stage : ServiceProcesses::stages()) all += stage + ": " + processes_->log(stage) + "\n";
+    return all + "coordinator: " + processes_->log("coordinator");
+  }
+
+  /// The undisturbed job that the others are compared with; made once.
+  static v1::Job calm() {
+    static const v1::Job job = [] {
+      create("calm", kFrames, true);
+      return finished("calm");
+    }();
+    return job;
+  }
+
+  static void expect_same_bits(const std::string& path, const std::string& other) {
+    const ResultReader a(path), b(other);
+    ASSERT_EQ(a.frames_complete(), b.frames_complete());
+    for (std::uint64_t i = 0; i < a.frames_complete(); ++i) {
+      ASSERT_EQ(a.coarse(i, i + 1)[0], b.coarse(i, i + 1)[0]) << "coarse, frame " << i;
+      ASSERT_EQ(a.enhanced(i, i + 1)[0], b.enhanced(i, i + 1)[0]) << "enhanced, frame " << i;
+    }
+  }
+
+  static std::unique_ptr<ServiceProcesses> processes_;
+  static v1::Scene scene_;
+  static std::unique_ptr<v1::Coordinator::Stub> stub_;
+};
+
+std::unique_ptr<ServiceProcesses> ServicesTest::processes_;
+v1::Scene ServicesTest::scene_;
+std::unique_ptr<v1::Coordinator::Stub> ServicesTest::stub_;
+
+TEST_F(ServicesTest, AJobWithReferenceEndsInACleanResult) {
+  const v1::Job job = calm();
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error() << "\n" << logs();
+  EXPECT_EQ(job.frames_complete(), kFrames);
+  EXPECT_EQ(job.reference_frames_complete(), kFrames);
+  EXPECT_EQ(job.summary().coarse_vertices(), 749U);
+  EXPECT_EQ(job.summary().fine_vertices(), 11393U);
+  EXPECT_EQ(job.summary().penetrations(), 0U);
+  EXPECT_EQ(job.summary().self_intersections(), 0U);
+  EXPECT_EQ(job.summary().frame_errors(), 0U);
+  const ResultReader reader(job.result_path());
+  EXPECT_EQ(reader.frames_complete(), kFrames);
+  EXPECT_TRUE(reader.info().has_fine);
+  for (const char* stage : {"simulation", "to_image", "superres", "to_mesh", "refinement"}) {
+    EXPECT_GT(reader.stage_ms(stage, 5, 6)[0], 0.0F) << stage;
+  }
+  const Positions first = reader.enhanced(0, 1)[0];
+  const Positions last = reader.enhanced(kFrames - 1, kFrames)[0];
+  EXPECT_TRUE(last.allFinite());
+  EXPECT_LT(last.col(1).mean(), first.col(1).mean() - 0.1F) << "the cloth falls";
+}
+
+TEST_F(ServicesTest, KillingEveryServiceLeavesTheSameBits) {
+  const v1::Job undisturbed = calm();
+  create("stormy", kFrames);
+  std::uint32_t frame = 4;
+  for (const char* service : {"simulation", "conversion", "superres", "refinement", "coordinator"}) {
+    ASSERT_TRUE(eventually([&] { return get("stormy").frames_complete() >= frame; })) << logs();
+    EXPECT_EQ(get("stormy").state(), v1::Job::STATE_RUNNING) << "the kill must hit a running job";
+    processes_->kill(service);
+    processes_->start(service);
+    processes_->wait_until_healthy(service);
+    frame += 6;
+  }
+  const v1::Job job = finished("stormy");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error() << "\n" << logs();
+  EXPECT_EQ(job.summary().frame_errors(), 0U);
+  expect_same_bits(job.result_path(), undisturbed.result_path());
+}
+
+TEST_F(ServicesTest, TwoJobsAtOnceAreBothRight) {
+  const v1::Job undisturbed = calm();
+  create("one", 15);
+  create("two", 15);
+  for (const char* id : {"one", "two"}) {
+    const v1::Job job = finished(id);
+    ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error() << "\n" << logs();
+    const ResultReader made(job.result_path()), expected(undisturbed.result_path());
+    for (std::uint64_t i = 0; i < 15; ++i) {
+      ASSERT_EQ(made.coarse(i, i + 1)[0], expected.coarse(i, i + 1)[0]) << id << " " << i;
+      ASSERT_EQ(made.enhanced(i, i + 1)[0], expected.enhanced(i, i + 1)[0]) << id << " " << i;
+    }
+  }
+}
+
+TEST_F(ServicesTest, ACancelledJobKeepsItsFramesAndFreesTheStages) {
+  create("cancelled", 100'000);
+  ASSERT_TRUE(eventually([] { return get("cancelled").frames_complete() >= 3; })) << logs();
+  grpc::ClientContext context;
+  v1::CancelJobRequest request;
+  request.set_id("cancelled");
+  v1::Job job;
+  ASSERT_TRUE(stub_->CancelJob(&context, request, &job).ok());
+  EXPECT_EQ(job.state(), v1::Job::STATE_CANCELLED);
+  EXPECT_TRUE(eventually(all_stages_free)) << logs();
+  EXPECT_EQ(ResultReader(get("cancelled").result_path()).frames_complete(), get("cancelled").frames_complete());
+}
+
+/// One live session on the calm job's coarse frames.
+class Session {
+ public:
+  Session(v1::Coordinator::Stub& stub, const v1::Topology& coarse) : stream_(stub.Enhance(&context_)) {
+    v1::EnhanceRequest request;
+    *request.mutable_open()->mutable_coarse() = coarse;
+    stream_->Write(request);
+    stream_->Read(&response_);
+  }
+  bool opened() const { return response_.has_opened(); }
+  const v1::EnhanceResponse& exchange(std::uint64_t index, const Positions& positions) {
+    send(index, positions);
+    response_.Clear();
+    stream_->Read(&response_);
+    return response_;
+  }
+  void send(std::uint64_t index, const Positions& positions) {
+    v1::EnhanceRequest request;
+    request.mutable_frame()->mutable_coarse()->set_index(index);
+    to_message(positions, request.mutable_frame()->mutable_coarse()->mutable_positions());
+    stream_->Write(request);
+  }
+  grpc::Status finish() {
+    stream_->WritesDone();
+    while (stream_->Read(&response_)) {
+    }
+    return stream_->Finish();
+  }
+  void vanish() { context_.TryCancel(); }
+
+ private:
+  grpc::ClientContext context_;
+  std::unique_ptr<grpc::ClientReaderWriter<v1::EnhanceRequest, v1::EnhanceResponse>> stream_;
+  v1::EnhanceResponse response_;
+};
+
+TEST_F(ServicesTest, ALiveSessionEnhancesAndSurvivesABadFrame) {
+  const ResultReader made(calm().result_path());
+  Session session(*stub_, scene_.garment_mesh());
+  ASSERT_TRUE(session.opened()) << session.finish().error_message() << "\n" << logs();
+  for (std::uint64_t i = 0; i < 10; ++i) {
+    const Positions coarse = made.coarse(i, i + 1)[0];
+    if (i == 5) {
+      const auto& answer = session.exchange(99, coarse.topRows(700));
+      ASSERT_TRUE(answer.has_error());
+      EXPECT_EQ(answer.error().index(), 99U);
+      EXPECT_NE(answer.error().message().find("749 vertices"), std::string::npos) << answer.error().message();
+    }
+    const auto& answer = session.exchange(i, coarse);
+    ASSERT_TRUE(answer.has_frame()) << answer.error().message();
+    EXPECT_EQ(answer.frame().fine().index(), i);
+    EXPECT_EQ(answer.frame().report().self_intersections_after(), 0U);
+    const Positions fine = positions_from_message(answer.frame().fine());
+    // The job's velocities were the simulation's, these are differences of rounded positions: almost the same frame.
+    EXPECT_LT((fine - made.enhanced(i, i + 1)[0]).cwiseAbs().maxCoeff(), 1e-2F) << i;
+  }
+  const grpc::Status status = session.finish();
+  EXPECT_TRUE(status.ok()) << status.error_message();
+}
+
+TEST_F(ServicesTest, AClientThatDisappearsFreesTheStages) {
+  const ResultReader made(calm().result_path());
+  ASSERT_TRUE(eventually(all_stages_free));
+  Session session(*stub_, scene_.garment_mesh());
+  ASSERT_TRUE(session.opened());
+  EXPECT_FALSE(all_stages_free());
+  for (std::uint64_t i = 0; i < 4; ++i) session.send(i, made.coarse(i, i + 1)[0]);
+  session.vanish();
+  EXPECT_TRUE(eventually(all_stages_free)) << logs();
+  EXPECT_EQ(session.finish().error_code(), grpc::StatusCode::CANCELLED);
+}
+
+TEST_F(ServicesTest, AMissingServiceIsNamedWithItsAddress) {
+  const std::string nowhere = "unix:" + (processes_->folder() / "nowhere.sock").string();
+  processes_->start_coordinator("lonely", {{"simulation", processes_->address("simulation")},
+                                           {"conversion", processes_->address("conversion")},
+                                           {"superres", processes_->address("superres")},
+                                           {"refinement", nowhere},
+                                           {"give-up-s", "1"}});
+  const auto stub = processes_->client("lonely");
+  create("doomed", 3, false, stub.get());
+  const v1::Job job = finished("doomed", stub.get());
+  EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
+  EXPECT_NE(job.error().find("refinement at " + nowhere), std::string::npos) << job.error();
+  EXPECT_EQ(processes_->terminate("lonely"), "exit code 0");
+}
+
+}  // namespace
+}  // namespace pleat::testing
