@@ -20,7 +20,7 @@ struct Figure {
 using Figures = std::vector<std::pair<std::string, Figure>>;
 
 struct BenchOptions {
-  std::filesystem::path scene = "deploy/scenes/draping.json";
+  std::filesystem::path scene;              ///< empty: deploy/scenes/draping.json, for refinement hitting.json
   std::filesystem::path models;             ///< empty: default_models_folder()
   std::filesystem::path out = "out/bench";  ///< logs and the files of jobs
   std::size_t frames = 40;                  ///< frames (or runs) of one figure; costly ones take a quarter
@@ -33,10 +33,14 @@ Figures bench_conversion(const BenchOptions& options);
 /// infer (ms) of the default bundle as the service chooses, and infer/BUNDLE/PRECISION for every bundle and precision
 /// that this machine has; measured inside the service, without transport.
 Figures bench_superres(const BenchOptions& options);
-/// refine, refine_p95 (ms), and what the judge counts before and after, over frames of the scene with wrinkles of 4 mm.
+/// refine, refine_p95 (ms), and what the judge counts before and after, over frames of the scene with wrinkles of 4 mm,
+/// which reach into its obstacle.
 Figures bench_refinement(const BenchOptions& options);
 /// frames_per_s of a whole job, latency (ms) of a live session with one frame in flight, transport_share of it.
 Figures bench_pipeline(const BenchOptions& options);
+
+/// The scene asked for, or the one in deploy/scenes with this name.
+std::filesystem::path scene_or(const BenchOptions& options, const std::string& name);
 
 /// {name: {figure: {median, runs, unit}}}.
 nlohmann::json to_json(const std::string& name, const Figures& figures);

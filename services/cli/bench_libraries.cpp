@@ -27,14 +27,14 @@ double milliseconds(const std::function<void()>& work) {
   return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 }
 
-simulation::Scene load_scene(const BenchOptions& options, std::size_t frames) {
-  simulation::Scene scene = simulation::scene_from_message(read_scene_file(options.scene));
+simulation::Scene load_scene(const std::filesystem::path& file, std::size_t frames) {
+  simulation::Scene scene = simulation::scene_from_message(read_scene_file(file));
   scene.frames = static_cast<int>(frames + 1);  // frame 0 is the initial state and costs nothing
   return scene;
 }
 
 Figure time_of_frames(const BenchOptions& options, Mode mode, std::size_t frames) {
-  simulation::Simulation simulation(load_scene(options, frames), mode);
+  simulation::Simulation simulation(load_scene(scene_or(options, "draping"), frames), mode);
   simulation.next_frame();
   std::vector<double> ms;
   for (std::size_t k = 0; k < frames; ++k) ms.push_back(milliseconds([&] { simulation.next_frame(); }));
@@ -74,6 +74,10 @@ WrinkledPair wrinkled_pair(const Topology& coarse, const Subdivision& subdivisio
 
 }  // namespace
 
+std::filesystem::path scene_or(const BenchOptions& options, const std::string& name) {
+  return options.scene.empty() ? std::filesystem::path("deploy/scenes") / (name + ".json") : options.scene;
+}
+
 Figures bench_simulation(const BenchOptions& options) {
   const std::size_t costly = std::max<std::size_t>(1, options.frames / 4);
   return {{"coarse_frame", time_of_frames(options, Mode::kCoarse, options.frames)},
@@ -82,7 +86,7 @@ Figures bench_simulation(const BenchOptions& options) {
 }
 
 Figures bench_conversion(const BenchOptions& options) {
-  const simulation::Scene scene = load_scene(options, 1);
+  const simulation::Scene scene = load_scene(scene_or(options, "draping"), 1);
   const Topology& coarse = scene.garment;
   const Subdivision subdivision = subdivide(coarse, scene.subdivision_rounds);
   std::vector<double> build, image_ms, mesh_ms, rms, largest;
@@ -115,7 +119,7 @@ Figures bench_conversion(const BenchOptions& options) {
 }
 
 Figures bench_refinement(const BenchOptions& options) {
-  simulation::Simulation simulation(load_scene(options, options.frames), Mode::kCoarse);
+  simulation::Simulation simulation(load_scene(scene_or(options, "hitting"), options.frames), Mode::kCoarse);
   const Topology& coarse = simulation.coarse();
   const Subdivision subdivision = subdivide(coarse, simulation.scene().subdivision_rounds);
   const std::vector<ObstacleShape> shapes = simulation.obstacle_shapes();

@@ -119,7 +119,7 @@ double frames_per_second(const std::shared_ptr<grpc::Channel>& channel, const st
                          const BenchOptions& options) {
   const auto stub = v1::Coordinator::NewStub(channel);
   v1::CreateJobRequest request;
-  *request.mutable_scene() = read_scene_file(options.scene);
+  *request.mutable_scene() = read_scene_file(scene_or(options, "draping"));
   request.set_frames(static_cast<std::uint32_t>(options.frames));
   v1::Job job;
   {
@@ -167,7 +167,7 @@ Figures bench_superres(const BenchOptions& options) {
 }
 
 Figures bench_pipeline(const BenchOptions& options) {
-  simulation::Scene scene = simulation::scene_from_message(read_scene_file(options.scene));
+  simulation::Scene scene = simulation::scene_from_message(read_scene_file(scene_or(options, "draping")));
   scene.frames = static_cast<int>(options.frames);
   simulation::Simulation simulation(scene, simulation::Mode::kCoarse);
   std::vector<CoarseInput> inputs;

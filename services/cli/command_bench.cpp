@@ -62,7 +62,8 @@ std::vector<Command> add_bench(CLI::App& root) {
   app->add_option("--frames", choice->options.frames, "frames (or runs) of a figure; costly ones take a quarter")
       ->capture_default_str()
       ->check(positive_number());
-  app->add_option("--scene", choice->options.scene, "scene file")->capture_default_str();
+  app->add_option("--scene", choice->options.scene,
+                  "scene file (default: deploy/scenes/draping.json; refinement: hitting.json)");
   app->add_option("--models", choice->options.models, "folder of the model bundles (default: deploy/models)");
   app->add_option("--out", choice->options.out, "folder for logs and files of jobs")->capture_default_str();
   return {{app, [choice] { return bench(*choice); }}};
