@@ -197,6 +197,12 @@ std::vector<std::vector<float>> Engine::upscale(std::span<const std::span<const 
   if (height < 1 || width < 1 || height > 8192 || width > 8192) {
     throw_invalid_argument("coarse image: " + std::to_string(width) + "x" + std::to_string(height) + " is no size");
   }
+  const bool one_size = s.metadata.kind == "mfsr" && s.metadata.architecture.residual == "mesh";
+  if (one_size && (height != s.metadata.coarse_height || width != s.metadata.coarse_width)) {
+    throw_invalid_argument("coarse image: " + std::to_string(width) + "x" + std::to_string(height) +
+                           ", the bundle serves its own mesh at " + std::to_string(s.metadata.coarse_width) + "x" +
+                           std::to_string(s.metadata.coarse_height));
+  }
   const std::size_t texels = static_cast<std::size_t>(height) * static_cast<std::size_t>(width);
   const std::size_t count = kChannels * texels;
   const auto batch = static_cast<std::int64_t>(images.size());

@@ -60,6 +60,8 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("batch": 0)")), HasSubstr("'batch' = 0 is outside"));
   EXPECT_THAT(error_of(with(R"("losses": {"target": "guess"})")), HasSubstr("'losses.target' = 'guess'"));
   EXPECT_THAT(error_of(with(R"("architecture": {"blocks": -4})")), HasSubstr("blocks"));
+  EXPECT_THAT(error_of(with(R"("architecture": {"axes": "local"})")), HasSubstr("patch"));
+  EXPECT_THAT(error_of(with(R"("patch": 0, "architecture": {"axes": "local"})")), HasSubstr("residual"));
   EXPECT_THAT(error_of(with(R"("images": {"coarse_width": 60})")), HasSubstr("coarse_height"));
   EXPECT_THAT(error_of(with(R"("schedule": {"kind": "cosine", "progress": "minutes"})")), HasSubstr("max_minutes"));
   EXPECT_THAT(error_of(R"({"name": "a", "dataset": "d"})"), HasSubstr("'output' is missing"));
