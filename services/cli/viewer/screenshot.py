@@ -29,6 +29,7 @@ def parse_arguments():
     parser.add_argument("--bare", action="store_true", help="views without labels and frame")
     parser.add_argument("--wireframe", action="store_true")
     parser.add_argument("--dark", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="simpler light, many times faster without a GPU")
     parser.add_argument("--prefix", default="", help="start of the file names")
     return parser.parse_args()
 
@@ -47,7 +48,7 @@ def main():
     width, height = (int(part) for part in options.size.split("x"))
     options.out.mkdir(parents=True, exist_ok=True)
     with Browser(width, height, dark=options.dark, scale=options.scale) as browser:
-        browser.open(options.report.resolve().as_uri() + "#still,best")
+        browser.open(options.report.resolve().as_uri() + ("#still" if options.quick else "#still,best"))
         browser.wait("window.pleatReport && (pleatReport.ready || pleatReport.error)")
         error = browser.run("return pleatReport.error")
         if error:
