@@ -77,7 +77,8 @@ std::vector<std::uint32_t> find_charts(const Topology& t) {
 
 Vec2 center_of(const TexelGrid& grid, std::size_t texel) {
   const auto column = static_cast<double>(texel % static_cast<std::size_t>(grid.width));
-  const auto row = static_cast<double>(texel / static_cast<std::size_t>(grid.width));
+  const std::size_t whole_row = texel / static_cast<std::size_t>(grid.width);
+  const auto row = static_cast<double>(whole_row);
   return {grid.u0 + column * grid.du, grid.v0 + row * grid.dv};
 }
 

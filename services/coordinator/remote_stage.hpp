@@ -64,7 +64,8 @@ class Outage {
   /// The error to fail with: the last cause (it names service and address), and how long was tried.
   Error gave_up(const Error& cause) const {
     const bool full = cause.code() == ErrorCode::kResourceExhausted;
-    return Error(full ? cause.code() : ErrorCode::kUnavailable, std::string(cause.what()) + "; gave up after " + in_words(give_up_));
+    return Error(full ? cause.code() : ErrorCode::kUnavailable,
+                 std::string(cause.what()) + "; gave up after " + in_words(give_up_));
   }
 
  private:

@@ -34,6 +34,7 @@ bool is_disk(std::vector<std::array<std::uint32_t, 2>> ring) {
   const auto start_less = [](const auto& a, const auto& b) { return a[0] < b[0]; };
   std::sort(ring.begin(), ring.end(), start_less);
   std::vector<std::uint32_t> ends;
+  ends.reserve(ring.size());
   for (const auto& edge : ring) ends.push_back(edge[1]);
   std::sort(ends.begin(), ends.end());
   if (std::adjacent_find(ends.begin(), ends.end()) != ends.end()) return false;

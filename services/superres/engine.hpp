@@ -70,8 +70,8 @@ class Engine {
   void require_topology(const std::string& topology_hash) const;
 
   /// images: N normalised coarse images, each (9, h, w) float32 row-major; returns N fine images (9, 4h, 4w).
-  /// h and w are the bundle's or, for bundles that know no mesh (residual "mesh"), any size. kInvalidArgument for sizes that don't fit or
-  /// values that are not finite; kInternal if the module answers with another shape.
+  /// h and w are the bundle's or, for bundles that know no mesh (residual "mesh"), any size. kInvalidArgument for sizes
+  /// that don't fit or values that are not finite; kInternal if the module answers with another shape.
   std::vector<std::vector<float>> upscale(std::span<const std::span<const float>> images, int height, int width);
   std::vector<float> upscale(std::span<const float> image, int height, int width);
 
