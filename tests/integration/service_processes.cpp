@@ -86,9 +86,13 @@ ServiceProcesses::ServiceProcesses() : executables_(environment_path("PLEAT_BINA
       other_models != nullptr ? other_models : environment_path("PLEAT_SOURCE_DIR") / "deploy" / "models";
   std::map<std::string, std::string> links;
   for (const std::string& stage : stages()) {
-    metrics_ports_[stage] = LoopbackSocket::free_port();
-    arguments_[stage] = {"--listen", address(stage), "--die-with-parent", "--metrics-listen",
-                         "127.0.0.1:" + std::to_string(metrics_ports_[stage])};
+    arguments_[stage] = {"--listen", address(stage), "--die-with-parent"};
+    // The other three tell by their sessions whether a client has left everything.
+    if (stage != "superres") {
+      metrics_ports_[stage] = LoopbackSocket::free_port();
+      arguments_[stage].insert(arguments_[stage].end(),
+                               {"--metrics-listen", "127.0.0.1:" + std::to_string(metrics_ports_[stage])});
+    }
     links[stage] = address(stage);
   }
   arguments_["superres"].insert(arguments_["superres"].end(), {"--models", models.string()});
@@ -105,7 +109,7 @@ void ServiceProcesses::start(const std::string& service) {
 }
 
 void ServiceProcesses::wait_until_healthy(const std::string& service) {
-  const auto deadline = std::chrono::steady_clock::now() + 60s;
+  const auto deadline = std::chrono::steady_clock::now() + 180s;
   const auto channel = rpc::create_channel(address(service));
   while (!rpc::is_healthy(channel, health_name(service), 200ms)) {
     if (!running_.at(service).running() || std::chrono::steady_clock::now() > deadline) {
@@ -143,7 +147,9 @@ std::string ServiceProcesses::address(const std::string& service) const {
 }
 
 double ServiceProcesses::metric(const std::string& service, const std::string& name_and_labels) const {
-  const std::string page = LoopbackSocket().http_get(metrics_ports_.at(service), "/metrics");
+  const auto port = metrics_ports_.find(service);
+  if (port == metrics_ports_.end()) return -1;
+  const std::string page = LoopbackSocket().http_get(port->second, "/metrics");
   const auto place = page.find("\n" + name_and_labels + " ");
   return place == std::string::npos ? -1 : std::strtod(page.c_str() + place + name_and_labels.size() + 2, nullptr);
 }
