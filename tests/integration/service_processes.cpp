@@ -1,13 +1,12 @@
 #include "tests/integration/service_processes.hpp"
 
-#include <arpa/inet.h>
-#include <netinet/in.h>
 #include <signal.h>
-#include <sys/socket.h>
 #include <unistd.h>
 
 #include <chrono>
 #include <cstdlib>
+#include <fstream>
+#include <sstream>
 
 #include "common/base/error.hpp"
 #include "common/rpc/channel.hpp"
@@ -16,48 +15,6 @@ namespace pleat::testing {
 namespace {
 
 using namespace std::chrono_literals;
-
-/// A TCP connection on loopback.
-class LoopbackSocket {
- public:
-  LoopbackSocket() : fd_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {}
-  ~LoopbackSocket() { ::close(fd_); }
-  LoopbackSocket(const LoopbackSocket&) = delete;
-  LoopbackSocket& operator=(const LoopbackSocket&) = delete;
-
-  static sockaddr_in place(int port) {
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(static_cast<std::uint16_t>(port));
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    return address;
-  }
-  /// A free port below those that the system gives to outgoing connections: it stays free while a service starts.
-  static int free_port() {
-    static int next = 12'000 + ::getpid() % 20'000;
-    for (; next < 32'768; ++next) {
-      const LoopbackSocket probe;
-      sockaddr_in address = place(next);
-      if (::bind(probe.fd_, reinterpret_cast<sockaddr*>(&address), sizeof address) == 0) return next++;
-    }
-    throw_internal("no free port");
-  }
-  std::string http_get(int port, const std::string& path) {
-    sockaddr_in address = place(port);
-    if (::connect(fd_, reinterpret_cast<sockaddr*>(&address), sizeof address) != 0) return {};
-    const std::string request = "GET " + path + " HTTP/1.0\r\n\r\n";
-    if (::send(fd_, request.data(), request.size(), MSG_NOSIGNAL) < 0) return {};
-    std::string answer;
-    char buffer[4096];
-    for (ssize_t count = 0; (count = ::recv(fd_, buffer, sizeof buffer, 0)) > 0;) {
-      answer.append(buffer, static_cast<std::size_t>(count));
-    }
-    return answer;
-  }
-
- private:
-  int fd_;
-};
 
 std::string health_name(const std::string& service) {
   if (service == "simulation") return "pleat.v1.Simulation";
@@ -87,12 +44,6 @@ ServiceProcesses::ServiceProcesses() : executables_(environment_path("PLEAT_BINA
   std::map<std::string, std::string> links;
   for (const std::string& stage : stages()) {
     arguments_[stage] = {"--listen", address(stage), "--die-with-parent"};
-    // The other three tell by their sessions whether a client has left everything.
-    if (stage != "superres") {
-      metrics_ports_[stage] = LoopbackSocket::free_port();
-      arguments_[stage].insert(arguments_[stage].end(),
-                               {"--metrics-listen", "127.0.0.1:" + std::to_string(metrics_ports_[stage])});
-    }
     links[stage] = address(stage);
   }
   arguments_["superres"].insert(arguments_["superres"].end(), {"--models", models.string()});
@@ -146,12 +97,19 @@ std::string ServiceProcesses::address(const std::string& service) const {
   return "unix:" + (folder_.path() / (service + ".sock")).string();
 }
 
-double ServiceProcesses::metric(const std::string& service, const std::string& name_and_labels) const {
-  const auto port = metrics_ports_.find(service);
-  if (port == metrics_ports_.end()) return -1;
-  const std::string page = LoopbackSocket().http_get(port->second, "/metrics");
-  const auto place = page.find("\n" + name_and_labels + " ");
-  return place == std::string::npos ? -1 : std::strtod(page.c_str() + place + name_and_labels.size() + 2, nullptr);
+int ServiceProcesses::connections(const std::string& service) const {
+  // Columns: Num RefCount Protocol Flags Type St Inode Path; state 03 is a connection, 01 the listening socket.
+  const std::string path = address(service).substr(std::string("unix:").size());
+  std::ifstream table("/proc/net/unix");
+  int count = 0;
+  for (std::string line; std::getline(table, line);) {
+    std::istringstream columns(line);
+    std::string column, state, place;
+    for (int i = 0; i < 5; ++i) columns >> column;
+    columns >> state >> column >> place;
+    count += state == "03" && place == path ? 1 : 0;
+  }
+  return count;
 }
 
 std::string ServiceProcesses::log(const std::string& service) const {

@@ -32,8 +32,8 @@ class ServiceProcesses {
   std::unique_ptr<v1::Coordinator::Stub> client(const std::string& coordinator = "coordinator") const;
 
   std::string address(const std::string& service) const;
-  /// A figure of the service's metrics page; -1 if it is not there.
-  double metric(const std::string& service, const std::string& name_and_labels) const;
+  /// Open connections to the service's socket; streams and channels hold them.
+  int connections(const std::string& service) const;
   /// The end of the service's log, for messages.
   std::string log(const std::string& service) const;
 
@@ -42,7 +42,6 @@ class ServiceProcesses {
  private:
   cli::PrivateFolder folder_;
   std::filesystem::path executables_;
-  std::map<std::string, int> metrics_ports_;
   std::map<std::string, std::vector<std::string>> arguments_;
   std::map<std::string, cli::ChildProcess> running_;
 };

@@ -77,7 +77,7 @@ class ServicesTest : public ::testing::Test {
   }
   static bool all_stages_free() {
     for (const std::string& stage : ServiceProcesses::stages()) {
-      if (processes_->metric(stage, "pleat_sessions{service=\"" + stage + "\"}") > 0) return false;
+      if (processes_->connections(stage) > 0) return false;
     }
     return true;
   }
