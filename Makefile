@@ -45,7 +45,7 @@ bench: build ## print the benchmark tables; writes out/bench/report.json
 	@echo "bench: $(OUT)/bench/report.json"
 
 dataset: build ## generate the DRAPING training data into out/dataset/draping
-	@$(BUILD)/bin/pleat dataset generate $(OUT)/dataset/draping --scene draping --frames 120
+	@$(BUILD)/bin/pleat dataset generate $(OUT)/dataset/draping --set draping --frames 120
 
 model: build ## train the default model from out/dataset/draping into out/train/draping
 	@$(BUILD)/bin/pleat-train deploy/models/draping.train.json

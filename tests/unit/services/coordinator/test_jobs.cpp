@@ -200,7 +200,8 @@ TEST_F(JobsTest, ACancelledJobKeepsItsFrames) {
   EXPECT_EQ(job.state(), v1::Job::STATE_CANCELLED);
   EXPECT_EQ(cancel("a").state(), v1::Job::STATE_CANCELLED);
   EXPECT_TRUE(eventually([&] {
-    return std::all_of(fakes_.all().begin(), fakes_.all().end(), [](auto* fake) { return fake->sessions == 0; });
+    const auto fakes = fakes_.all();
+    return std::all_of(fakes.begin(), fakes.end(), [](auto* fake) { return fake->sessions == 0; });
   }));
   const v1::Job ended = get("a");
   EXPECT_TRUE(ended.result_path().ends_with("result.h5")) << ended.result_path();
