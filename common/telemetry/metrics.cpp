@@ -1,15 +1,13 @@
 #include "common/telemetry/metrics.hpp"
 
 #include <prometheus/counter.h>
-#include <prometheus/exposer.h>
 #include <prometheus/gauge.h>
 #include <prometheus/histogram.h>
 #include <prometheus/registry.h>
 #include <prometheus/text_serializer.h>
 
-#include <exception>
-
 #include "common/base/error.hpp"
+#include "common/telemetry/page_server.hpp"
 
 namespace pleat::telemetry {
 namespace {
@@ -46,23 +44,17 @@ struct Metrics::State {
   prometheus::Family<prometheus::Gauge>& sessions;
   prometheus::Family<prometheus::Gauge>& inflight;
   prometheus::Family<prometheus::Gauge>& queues;
-  std::unique_ptr<prometheus::Exposer> exposer;
+  std::unique_ptr<PageServer> server;
 };
 
 Metrics::Metrics(const std::string& service) : state_(std::make_unique<State>(service)) {}
 Metrics::~Metrics() = default;
 
 void Metrics::serve(const std::string& address, bool anywhere) {
-  const bool local =
-      address.rfind("127.", 0) == 0 || address.rfind("localhost:", 0) == 0 || address.rfind("[::1]:", 0) == 0;
+  const bool local = address.rfind("127.", 0) == 0 || address.rfind("localhost:", 0) == 0;
   if (!local && !anywhere)
     throw_invalid_argument("metrics address " + address + " is not on loopback (--metrics-anywhere allows it)");
-  try {
-    state_->exposer = std::make_unique<prometheus::Exposer>(address, 1);
-  } catch (const std::exception& error) {
-    throw Error(ErrorCode::kUnavailable, "metrics can't be served at " + address + ": " + error.what());
-  }
-  state_->exposer->RegisterCollectable(state_->registry);
+  state_->server = std::make_unique<PageServer>(address, [this] { return text(); });
 }
 
 void Metrics::frame_done(const std::string& stage, double seconds, bool ok) {
