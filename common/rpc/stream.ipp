@@ -298,6 +298,8 @@ void FrameStream<Request, Response>::write_failed(std::unique_lock<std::mutex>& 
 template <typename Request, typename Response>
 bool FrameStream<Request, Response>::pop(Response* response) {
   std::unique_lock lock(mutex_);
+  // A writer that failed may be taking the status: one reader at a time.
+  changed_.wait(lock, [&] { return ended_ || !reading_since_.has_value(); });
   if (ended_) {
     throw_if_ended_badly();
     return false;
@@ -354,9 +356,12 @@ void FrameStream<Request, Response>::throw_if_ended_badly() const {
 template <typename Request, typename Response>
 void FrameStream<Request, Response>::close() {
   const std::lock_guard write_lock(write_mutex_);
-  const std::lock_guard lock(mutex_);
-  if (closed_ || ended_) return;
-  closed_ = true;
+  {
+    const std::lock_guard lock(mutex_);
+    if (closed_ || ended_) return;
+    closed_ = true;
+  }
+  // Without the lock: cancel(), which gRPC's own threads may call, must never wait for the network.
   stream_->WritesDone();
 }
 
