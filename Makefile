@@ -11,7 +11,7 @@ SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 PACKAGES := $(shell sed -n '/^[^#]/p' cmake/packages.txt)
 SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 
-.PHONY: help setup build demo test bench lint format sanitize clean compose-demo dataset model viewer proto-descriptor
+.PHONY: help setup configure build programs demo test bench lint format sanitize clean compose-demo dataset model viewer proto-descriptor
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,12 +25,18 @@ setup: ## install the Debian packages that are missing (as root, or with sudo)
 	  $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
 	fi; echo "setup: all packages are installed"
 
-build: setup ## configure and build everything into build/
+configure: setup
 	@[ -f $(BUILD)/build.ninja ] || { echo "build: configuring preset $(PRESET)"; cmake --preset $(PRESET) >$(BUILD)-configure.log 2>&1 || { cat $(BUILD)-configure.log; exit 1; }; rm -f $(BUILD)-configure.log; }
+
+build: configure ## configure and build everything into build/
 	@echo "build: compiling with $(JOBS) jobs"
 	@cmake --build $(BUILD) -j $(JOBS)
 
-demo: build ## simulate and enhance the falling tablecloth; pictures in out/demo/report.html
+programs: configure
+	@echo "build: compiling the programs with $(JOBS) jobs"
+	@cmake --build $(BUILD) -j $(JOBS) --target programs
+
+demo: programs ## simulate and enhance the falling tablecloth; pictures in out/demo/report.html
 	@echo "demo: deploy/scenes/draping.json with the shipped model"
 	@$(BUILD)/bin/pleat run deploy/scenes/draping.json --reference --out $(OUT)/demo
 	@echo "demo: open $(OUT)/demo/report.html in a browser"

@@ -18,12 +18,14 @@ function(pleat_library name)
   pleat_common_options(${name})
 endfunction()
 
-# pleat_executable(NAME SOURCES... LINK LIBS...): lands in build/bin.
+# pleat_executable(NAME SOURCES... LINK LIBS...): lands in build/bin. The target `programs` builds all of them.
+add_custom_target(programs)
 function(pleat_executable name)
   cmake_parse_arguments(ARG "" "" "SOURCES;LINK" ${ARGN})
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_LINK})
   pleat_common_options(${name})
+  add_dependencies(programs ${name})
 endfunction()
 
 # pleat_test(NAME SOURCES... LINK LIBS...): a GoogleTest program, one CTest entry each, run from the source root.
