@@ -30,18 +30,22 @@ struct Tensor {
   std::vector<float> values;          ///< row-major
 };
 
-/// A rigid or animated obstacle in one frame. A sphere has a radius > 0 and no positions; a mesh has its vertices.
+/// A rigid or animated obstacle in one frame: a sphere (radius > 0), a capsule set (capsule_radii not empty), or a
+/// mesh.
 struct ObstacleFrame {
   std::string name;
   Eigen::Vector3f center = Eigen::Vector3f::Zero();  ///< sphere
-  float radius = 0;                                  ///< sphere; 0 for a mesh
-  Positions positions;                               ///< mesh; its faces are in ObstacleShape
+  float radius = 0;                                  ///< sphere; 0 for the others
+  Positions positions;                               ///< mesh: (V x 3); its faces are in ObstacleShape
+  Positions capsule_ends;                            ///< capsule set: (2C x 3), the two ends of each capsule in turn
+  std::vector<float> capsule_radii;                  ///< capsule set: (C) metres, > 0
 };
 
 /// What stays constant of an obstacle.
 struct ObstacleShape {
   std::string name;
-  Faces faces;  ///< empty for a sphere
+  Faces faces;                 ///< of a mesh; empty for the others
+  std::uint32_t capsules = 0;  ///< of a capsule set: everything within a radius of some segments; 0 for the others
 };
 
 }  // namespace pleat

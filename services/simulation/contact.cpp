@@ -3,11 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <numbers>
-#include <numeric>
 #include <utility>
 
-#include "common/base/error.hpp"
+#include "services/simulation/obstacles.hpp"
+#include "services/simulation/union_find.hpp"
 
 namespace pleat::simulation {
 namespace {
@@ -16,7 +15,6 @@ using Eigen::Vector3d;
 
 // Metres. A pair that comes closer than kGap has collided; impacts leave it at 5 kGap to a tenth of the thickness.
 constexpr double kGap = 2e-5;
-constexpr double kMinimumClearance = 1e-6;
 constexpr int kProjectionRounds = 24;
 constexpr int kRigidRounds = 40;
 
@@ -28,52 +26,6 @@ double repulsion_thickness(const Topology& cloth, const Points& rest, double wan
   }
   return std::min(wanted, 0.25 * sum / (3.0 * static_cast<double>(cloth.face_count())));
 }
-
-Vector3d rest_center(const Obstacle& obstacle) {
-  if (obstacle.radius > 0) return obstacle.center;
-  return obstacle.mesh.rest_positions.cast<double>().colwise().mean().transpose() + obstacle.center;
-}
-
-// Whether segment p-q meets triangle a,b,c (Moeller and Trumbore 1997); touching counts.
-bool segment_meets_triangle(const Vector3d& p, const Vector3d& q, const Vector3d& a, const Vector3d& b,
-                            const Vector3d& c) {
-  const Vector3d direction = q - p, e1 = b - a, e2 = c - a, s = p - a;
-  const Vector3d cross = direction.cross(e2);
-  const double determinant = e1.dot(cross);
-  if (std::abs(determinant) <= 1e-14 * direction.norm() * e1.norm() * e2.norm()) return false;  // coplanar
-  const double u = s.dot(cross) / determinant;
-  const Vector3d other = s.cross(e1);
-  const double v = direction.dot(other) / determinant, t = e2.dot(other) / determinant;
-  return u >= 0 && v >= 0 && u + v <= 1 && t >= 0 && t <= 1;
-}
-
-// Winding number of a closed mesh about a point: +-1 inside, 0 outside (van Oosterom and Strackee 1983).
-double winding_number(const Vector3d& p, const Points& x, std::span<const std::array<std::uint32_t, 3>> faces) {
-  double sum = 0;
-  for (const auto& face : faces) {
-    const Vector3d a = x[face[0]] - p, b = x[face[1]] - p, c = x[face[2]] - p;
-    const double la = a.norm(), lb = b.norm(), lc = c.norm();
-    sum += std::atan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb);
-  }
-  return sum / (2 * std::numbers::pi);
-}
-
-class UnionFind {
- public:
-  explicit UnionFind(std::size_t n) : parent_(n) { std::iota(parent_.begin(), parent_.end(), 0u); }
-  std::uint32_t root(std::uint32_t i) {
-    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
-    return i;
-  }
-  void join(std::uint32_t a, std::uint32_t b) {
-    a = root(a);
-    b = root(b);
-    parent_[std::max(a, b)] = std::min(a, b);
-  }
-
- private:
-  std::vector<std::uint32_t> parent_;
-};
 
 }  // namespace
 
@@ -108,16 +60,23 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
     particles += static_cast<std::size_t>(vertices);
   };
   add_mesh(cloth.vertex_count(), cloth.faces);
-  for (std::size_t o = 0; o < scene.obstacles.size(); ++o) {
-    if (scene.obstacles[o].radius > 0) {
-      sphere_obstacles_.push_back(o);
+  for (const Obstacle& obstacle : scene.obstacles) {
+    first_particle_.push_back(static_cast<std::uint32_t>(particles));
+    first_face_.push_back(static_cast<std::uint32_t>(faces_.size()));
+    if (obstacle.mesh.face_count() > 0) {
+      add_mesh(obstacle.mesh.vertex_count(), obstacle.mesh.faces);
     } else {
-      mesh_obstacles_.push_back(o);
-      add_mesh(scene.obstacles[o].mesh.vertex_count(), scene.obstacles[o].mesh.faces);
+      const auto first = static_cast<std::uint32_t>(particles);
+      if (obstacle.radius > 0) rounds_.push_back({first, kNone, obstacle.radius});
+      for (std::uint32_t c = 0; c < obstacle.capsules.size(); ++c) {
+        rounds_.push_back({first + 2 * c, first + 2 * c + 1, obstacle.capsules[c].radius});
+      }
+      particles += point_count(obstacle);
     }
   }
-  first_sphere_ = particles;
-  particle_count_ = particles + sphere_obstacles_.size();
+  first_particle_.push_back(static_cast<std::uint32_t>(particles));
+  first_face_.push_back(static_cast<std::uint32_t>(faces_.size()));
+  particle_count_ = particles;
 
   // The hierarchy is built over the rest shape, where near on the surface means near in space.
   std::vector<Box> boxes(cloth_faces_);
@@ -141,23 +100,6 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
   vertex_boxes_.resize(particle_count_);
   face_boxes_.resize(faces_.size());
   find_neighbours();
-}
-
-Points ContactSystem::obstacle_particles(double time_s) const {
-  Points points;
-  points.reserve(particle_count_ - cloth_count_);
-  for (const std::size_t o : mesh_obstacles_) {
-    const Obstacle& obstacle = scene_.obstacles[o];
-    const Pose pose = pose_at(obstacle.motion, rest_center(obstacle), time_s);
-    for (Eigen::Index v = 0; v < obstacle.mesh.vertex_count(); ++v) {
-      points.push_back(pose.apply(obstacle.mesh.rest_positions.row(v).cast<double>().transpose() + obstacle.center));
-    }
-  }
-  for (const std::size_t o : sphere_obstacles_) {
-    const Obstacle& obstacle = scene_.obstacles[o];
-    points.push_back(pose_at(obstacle.motion, obstacle.center, time_s).apply(obstacle.center));
-  }
-  return points;
 }
 
 ClosestPoints ContactSystem::closest(const Pair& pair, const Points& x) const {
@@ -334,85 +276,26 @@ void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPoo
   pairs_.clear();
   if (scene_.contact.self_collision) add_neighbours(start, end, pool);
   for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
-  for (std::size_t s = 0; s < sphere_obstacles_.size(); ++s) {
-    const auto particle = static_cast<std::uint32_t>(first_sphere_ + s);
-    const double radius = scene_.obstacles[sphere_obstacles_[s]].radius;
-    Box box;
-    box.extend(start[particle], radius + margin);
-    box.extend(end[particle], radius + margin);
-    std::vector<std::uint32_t> near;
-    cloth_bvh_.query(box, [&](std::uint32_t f) { near.push_back(f); });
-    std::sort(near.begin(), near.end());
-    for (const std::uint32_t f : near) {
-      keep_if_close(
-          {{particle, faces_[f][0], faces_[f][1], faces_[f][2]}, Kind::kSphereFace, static_cast<float>(radius)}, start,
-          end, pairs_);
-    }
-  }
+  add_round_pairs(start, end, margin);
   pairs_end_ = end;
 }
 
-void ContactSystem::check_start(const Points& x, ThreadPool& pool) {
-  find_pairs(x, x, pool);
-  const auto fail = [&](const std::string& message) {
-    throw_invalid_argument("scene '" + scene_.name + "': " + message + " at the start");
-  };
-  std::vector<Bvh::Pair> face_pairs;
-  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(&pool);
-  if (!obstacle_bvh_.empty()) {
-    for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
-      face_pairs.push_back({f, g + static_cast<std::uint32_t>(cloth_faces_)});
-    }
-  }
-  const auto edges_meet_face = [&](std::uint32_t f, std::uint32_t g) {
-    const auto& corners = faces_[g];
-    const auto in_g = [&](std::uint32_t v) { return v == corners[0] || v == corners[1] || v == corners[2]; };
-    for (std::size_t k = 0; k < 3; ++k) {
-      const std::uint32_t a = faces_[f][k], b = faces_[f][(k + 1) % 3];
-      if (in_g(a) || in_g(b)) continue;
-      if (segment_meets_triangle(x[a], x[b], x[corners[0]], x[corners[1]], x[corners[2]])) return true;
-    }
-    return false;
-  };
-  for (const auto& [f, g] : face_pairs) {
-    if (edges_meet_face(f, g) || edges_meet_face(g, f)) {
-      if (g < cloth_faces_)
-        fail("faces " + std::to_string(f) + " and " + std::to_string(g) + " of the cloth intersect");
-      fail("face " + std::to_string(f) + " of the cloth cuts an obstacle");
-    }
-  }
-  for (const Pair& pair : pairs_) {
-    const double distance = std::sqrt(closest(pair, x).squared_distance) - static_cast<double>(pair.minimum);
-    if (distance > kMinimumClearance) continue;
-    if (pair.kind == Kind::kSphereFace) {
-      fail("the cloth is inside or touches obstacle '" +
-           scene_.obstacles[sphere_obstacles_[pair.v[0] - first_sphere_]].name + "'");
-    }
-    const bool obstacle = std::any_of(pair.v.begin(), pair.v.end(), [&](std::uint32_t v) { return v >= cloth_count_; });
-    fail(obstacle ? "the cloth touches an obstacle near vertex " + std::to_string(std::min(pair.v[0], pair.v[2]))
-                  : "the cloth touches itself near vertex " + std::to_string(pair.v[0]));
-  }
-  // Deep inside an obstacle nothing is near: every connected part of the cloth must have a vertex outside.
-  UnionFind parts(cloth_count_);
-  for (std::size_t f = 0; f < cloth_faces_; ++f) {
-    parts.join(faces_[f][0], faces_[f][1]);
-    parts.join(faces_[f][0], faces_[f][2]);
-  }
-  for (std::uint32_t v = 0; v < cloth_count_; ++v) {
-    if (parts.root(v) != v) continue;
-    for (std::size_t s = 0; s < sphere_obstacles_.size(); ++s) {
-      const Obstacle& obstacle = scene_.obstacles[sphere_obstacles_[s]];
-      if ((x[v] - x[first_sphere_ + s]).norm() < obstacle.radius)
-        fail("the cloth is inside obstacle '" + obstacle.name + "'");
-    }
-    std::size_t first_face = cloth_faces_;
-    for (const std::size_t o : mesh_obstacles_) {
-      const auto count = static_cast<std::size_t>(scene_.obstacles[o].mesh.face_count());
-      if (std::abs(winding_number(x[v], x, std::span(faces_).subspan(first_face, count))) > 0.5) {
-        fail("the cloth is inside obstacle '" + scene_.obstacles[o].name + "'");
-      }
-      first_face += count;
-    }
+// The side of a capsule: the ends of the edge once each where they face the segment. Its caps are spheres.
+template <typename Add>
+void ContactSystem::repel_from_capsule(const Pair& pair, const Points& x, std::vector<std::uint32_t>& touched,
+                                       const Add& add) const {
+  const auto marker = static_cast<std::uint32_t>(particle_count_) + pair.v[2];
+  const Vector3d &a = x[pair.v[2]], &b = x[pair.v[3]];
+  for (std::size_t k = 0; k < 2; ++k) {
+    const std::uint32_t end = pair.v[k];
+    const double t = closest_on_segment(x[end], a, b);
+    if (t <= 0 || t >= 1 || touched[end] == marker) continue;
+    touched[end] = marker;
+    const Vector3d d = x[end] - a - t * (b - a);
+    const double length = d.norm(), clearance = length - static_cast<double>(pair.minimum);
+    if (clearance >= thickness_ || length <= 0) continue;
+    add({end, pair.v[2], pair.v[3], kNone}, {1, t - 1, -t, 0}, d / length, clearance, areas_[end],
+        scene_.contact.obstacle_friction);
   }
 }
 
@@ -478,6 +361,7 @@ std::vector<ContactForce> ContactSystem::repulsion(const Points& x, const Points
       }
       continue;
     }
+    if (pair.kind == Kind::kEdgeEdge && pair.minimum > 0) repel_from_capsule(pair, x, touched, add);
     if (!points.interior) continue;
     const bool obstacle = pair.v[0] >= cloth_count_ || pair.v[2] >= cloth_count_;
     double area = 1e30;

@@ -26,7 +26,24 @@ struct Resolution {
   bool cut = false;  ///< the step was cut: obstacles and hard handles lag behind their script too
 };
 
-/// Collision particles are the cloth's vertices, then those of the obstacle meshes, then the spheres' centres.
+/// A place where a state is not clean.
+struct Violation {
+  enum class Kind : std::uint8_t {
+    kCrossing,  ///< the segment particles[0]-[1] meets the triangle particles[2], [3], [4]
+    kTouch,     ///< two primitives of particles[0..3] are too close
+    kInside,    ///< the cloth vertex particles[0] is inside an obstacle
+  };
+  Kind kind;
+  std::array<std::uint32_t, 5> particles{kNone, kNone, kNone, kNone, kNone};
+  std::uint32_t face = kNone, other_face = kNone;  ///< kCrossing: faces of the cloth; the other kNone for an obstacle
+  std::uint32_t obstacle = kNone;                  ///< index in the scene; kNone for the cloth itself
+  /// kTouch and kInside: what to do. sum weights[k] particles[k] has to move by `depth` along `normal`.
+  std::array<double, 4> weights{};
+  Eigen::Vector3d normal = Eigen::Vector3d::Zero();
+  double depth = 0;
+};
+
+/// Collision particles are the cloth's vertices, then the points of the obstacles in the scene's order (obstacles.hpp).
 /// Obstacles never yield: they have no mass in here. One instance serves one cloth; results do not depend on the thread
 /// count.
 class ContactSystem {
@@ -41,9 +58,14 @@ class ContactSystem {
   /// Particle positions of the obstacles in their scripted places at a time, in particle order from cloth_count() on.
   Points obstacle_particles(double time_s) const;
 
-  /// Throws kInvalidArgument, naming the faces or the obstacle, unless the positions (all particles) are free of
+  /// Throws kInvalidArgument, naming faces and obstacles, unless the positions (all particles) are free of
   /// self-intersections and penetrations with some clearance.
   void check_start(const Points& positions, ThreadPool& pool);
+
+  /// Where the positions (all particles) are not clean: crossings, touches and vertices inside, in this order; every
+  /// pair of faces once. Empty for a state from which resolve() may start.
+  std::vector<Violation> violations(const Points& positions, ThreadPool& pool);
+  std::string describe(const Violation& violation) const;
 
   /// Repulsion and friction for the step that starts at the positions. velocities: of all particles, the obstacles'
   /// being those of the coming step. Uses the pairs found by the last resolve() if it ended at these positions.
@@ -59,7 +81,7 @@ class ContactSystem {
   struct Pair {
     std::array<std::uint32_t, 4> v;
     Kind kind;
-    float minimum;  // distance that must remain: a sphere's radius, or 0
+    float minimum;  // distance that must remain: the radius of a sphere or a capsule, or 0
   };
   // n . sum w x >= distance.
   struct Impact {
@@ -73,6 +95,13 @@ class ContactSystem {
   ClosestPoints closest(const Pair& pair, const Points& x) const;
   std::optional<Collision> collide(const Pair& pair, const Points& start, const Points& end) const;
   void find_pairs(const Points& start, const Points& end, ThreadPool& pool);
+  void add_round_pairs(const Points& start, const Points& end, double margin);
+  template <typename Add>
+  void repel_from_capsule(const Pair& pair, const Points& x, std::vector<std::uint32_t>& touched, const Add& add) const;
+  void find_crossings(const Points& x, ThreadPool& pool, std::vector<Violation>& found) const;
+  void find_touches(const Points& x, std::vector<Violation>& found) const;
+  void find_inside(const Points& x, std::vector<Violation>& found) const;
+  std::uint32_t obstacle_of(std::uint32_t particle) const;
   template <typename Use>
   void for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const;
   double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
@@ -87,7 +116,7 @@ class ContactSystem {
   }
 
   const Scene& scene_;
-  std::size_t cloth_count_ = 0, cloth_faces_ = 0, particle_count_ = 0, first_sphere_ = 0;
+  std::size_t cloth_count_ = 0, cloth_faces_ = 0, particle_count_ = 0;
   std::vector<std::array<std::uint32_t, 3>> faces_;  // cloth, then obstacle meshes
   std::vector<std::array<std::uint32_t, 2>> edges_;
   // Every vertex and every edge belongs to one of its faces, so that a pair of them is met once only.
@@ -95,7 +124,13 @@ class ContactSystem {
   std::vector<std::array<std::uint32_t, 3>> own_vertices_;  // likewise
   std::vector<double> areas_;                               // of cloth vertices
   std::vector<double> edge_areas_, face_areas_;
-  std::vector<std::size_t> mesh_obstacles_, sphere_obstacles_;  // indices into scene.obstacles, in particle order
+  std::vector<std::uint32_t> first_particle_, first_face_;  // per obstacle, and the ends; no faces: not a mesh
+  // Spheres (b is kNone) and capsules.
+  struct Round {
+    std::uint32_t a, b;
+    double radius;
+  };
+  std::vector<Round> rounds_;
   double thickness_ = 0;
   double slack_ = 0;  // metres that vertices may move after find_pairs before the pairs must be found again
 

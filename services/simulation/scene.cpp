@@ -6,6 +6,7 @@
 #include <set>
 
 #include "common/base/error.hpp"
+#include "services/simulation/obstacles.hpp"
 
 namespace pleat::simulation {
 namespace {
@@ -81,24 +82,8 @@ void check_obstacles(const Scene& scene) {
     const std::string what = "obstacle '" + obstacle.name + "'";
     if (obstacle.name.empty()) fail(scene, "an obstacle has no name");
     if (!names.insert(obstacle.name).second) fail(scene, what + " appears twice");
-    check_finite(scene, obstacle.center, what + ": centre");
-    check_not_negative(scene, obstacle.radius, what + ": radius");
-    const bool has_mesh = obstacle.mesh.face_count() > 0;
-    if (obstacle.radius == 0 && !has_mesh) fail(scene, what + " has neither a radius nor a mesh");
-    if (obstacle.radius > 0 && has_mesh) fail(scene, what + " has a radius and a mesh");
-    if (has_mesh) {
-      validate_topology(obstacle.mesh, what);
-      // Closed: with consistent orientation and at most two faces on an edge, it means 2 E = 3 F.
-      std::set<std::pair<std::uint32_t, std::uint32_t>> edges;
-      for (Eigen::Index f = 0; f < obstacle.mesh.face_count(); ++f) {
-        for (int k = 0; k < 3; ++k) {
-          edges.insert(std::minmax(obstacle.mesh.faces(f, k), obstacle.mesh.faces(f, (k + 1) % 3)));
-        }
-      }
-      if (2 * edges.size() != 3 * static_cast<std::size_t>(obstacle.mesh.face_count())) {
-        fail(scene, what + ": the mesh is not closed");
-      }
-    }
+    const std::string fault = obstacle_fault(obstacle);
+    if (!fault.empty()) fail(scene, what + (fault[0] == ':' ? "" : " ") + fault);
     check_motion(scene, obstacle.motion, what);
   }
 }

@@ -12,7 +12,7 @@
 namespace pleat::simulation {
 
 /// A pose at a time: x -> R (x - pivot) + pivot + translation. The pivot of a handle is the centroid of its vertices at
-/// its start, that of an obstacle its centre (a mesh: the centroid of its vertices).
+/// its start, that of an obstacle the mean of its points (Animation).
 struct KeyFrame {
   double time_s = 0;
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< metres
@@ -36,14 +36,30 @@ struct Handle {
   Motion motion;           ///< applied to the positions the vertices have at the start of the handle
 };
 
-/// A sphere (radius > 0, no mesh) or a closed triangle mesh, rigidly moved. It pushes the cloth and never yields.
+/// Everything within `radius` of the segment a-b; a sphere if that has no length.
+struct Capsule {
+  Eigen::Vector3d a = Eigen::Vector3d::Zero(), b = Eigen::Vector3d::Zero();  ///< metres, before motion
+  double radius = 0;
+};
+
+/// Where the points of an obstacle are over time: sample k at k sample_time_s, linear in between, constant after the
+/// last. The points are a mesh's vertices, the two ends of every capsule in turn, a sphere's centre.
+struct Animation {
+  std::vector<Positions> samples;  ///< each (points x 3), metres, in world coordinates
+  double sample_time_s = 0.04;
+};
+
+/// A sphere (radius > 0), a capsule set or a closed triangle mesh: at rest, moved rigidly by its key frames, or
+/// animated. It pushes the cloth and never yields.
 struct Obstacle {
   std::string name;
   Eigen::Vector3d center =
-      Eigen::Vector3d::Zero();  ///< sphere: its centre before motion; mesh: translation of the mesh
-  double radius = 0;            ///< sphere
-  Topology mesh;                ///< mesh: rest_positions and faces (outward orientation)
-  Motion motion;                ///< about its pivot, in world coordinates
+      Eigen::Vector3d::Zero();    ///< sphere: its centre before motion; the others: a translation before motion
+  double radius = 0;              ///< sphere
+  std::vector<Capsule> capsules;  ///< capsule set
+  Topology mesh;                  ///< mesh: rest_positions and faces (outward orientation)
+  Motion motion;                  ///< about its pivot, in world coordinates
+  Animation animation;            ///< instead of center and motion
 };
 
 /// Where the garment is at the beginning: x -> R (scale x) + translation.
@@ -105,7 +121,8 @@ struct Scene {
 /// Throws kInvalidArgument with the culprit: garment not usable (validate_topology, validate_material_coordinates),
 /// handle on a vertex that does not exist or the same vertex in two handles at once, steps, frames or frame time not
 /// positive, values not finite, negative density, stiffness, friction or thickness, key frames out of order, an
-/// obstacle without shape, or duplicate obstacle names. Whether the start is free of penetrations and
+/// obstacle without shape or with two, an animation that does not fit it or has values that are not finite, or
+/// duplicate obstacle names. Whether the start is free of penetrations and
 /// self-intersections is checked by Simulation, which has the hierarchies. O(F log F).
 void validate_scene(const Scene& scene);
 

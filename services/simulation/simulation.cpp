@@ -11,6 +11,7 @@
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
 #include "services/simulation/cloth.hpp"
+#include "services/simulation/obstacles.hpp"
 
 namespace pleat::simulation {
 namespace {
@@ -150,7 +151,16 @@ std::uint64_t scene_fingerprint(const Scene& s, Mode mode) {
     w.vector(o.center);
     w.value(o.radius);
     if (o.mesh.face_count() > 0) mesh(o.mesh);
+    for (const Capsule& c : o.capsules) {
+      w.vector(c.a);
+      w.vector(c.b);
+      w.value(c.radius);
+    }
     motion(o.motion);
+    if (!o.animation.samples.empty()) w.value(o.animation.sample_time_s);
+    for (const Positions& sample : o.animation.samples) {
+      w.raw(sample.data(), static_cast<std::size_t>(sample.size()) * sizeof(float));
+    }
   }
   return hash_bytes(bytes);
 }
@@ -292,23 +302,10 @@ struct Simulation::State {
   std::vector<ObstacleFrame> obstacles() const {
     // In place of the script: where a step had to be cut, the obstacles lag behind it.
     std::vector<ObstacleFrame> frames;
-    std::size_t mesh_particle = coarse->vertex_count();
-    std::size_t sphere_particle = mesh_particle;
+    std::size_t first = coarse->vertex_count();
     for (const Obstacle& o : scene.obstacles) {
-      if (o.radius == 0) sphere_particle += static_cast<std::size_t>(o.mesh.vertex_count());
-    }
-    for (const Obstacle& o : scene.obstacles) {
-      ObstacleFrame frame;
-      frame.name = o.name;
-      if (o.radius > 0) {
-        frame.center = coarse->particles()[sphere_particle++].cast<float>();
-        frame.radius = static_cast<float>(o.radius);
-      } else {
-        const auto count = static_cast<std::size_t>(o.mesh.vertex_count());
-        frame.positions = to_positions(std::span(coarse->particles()).subspan(mesh_particle, count));
-        mesh_particle += count;
-      }
-      frames.push_back(std::move(frame));
+      frames.push_back(frame_of(o, std::span(coarse->particles()).subspan(first, point_count(o))));
+      first += point_count(o);
     }
     return frames;
   }
@@ -360,7 +357,7 @@ std::uint64_t Simulation::next_index() const { return state_->next; }
 
 std::vector<ObstacleShape> Simulation::obstacle_shapes() const {
   std::vector<ObstacleShape> shapes;
-  for (const Obstacle& o : state_->scene.obstacles) shapes.push_back({o.name, o.mesh.faces});
+  for (const Obstacle& o : state_->scene.obstacles) shapes.push_back(shape_of(o));
   return shapes;
 }
 
@@ -432,23 +429,7 @@ void Simulation::restore(std::span<const std::byte> bytes) {
 
 std::vector<ObstacleFrame> obstacle_frames(const Scene& scene, double time_s) {
   std::vector<ObstacleFrame> frames;
-  for (const Obstacle& o : scene.obstacles) {
-    ObstacleFrame frame;
-    frame.name = o.name;
-    if (o.radius > 0) {
-      frame.center = pose_at(o.motion, o.center, time_s).apply(o.center).cast<float>();
-      frame.radius = static_cast<float>(o.radius);
-    } else {
-      const Vector3d pivot = o.mesh.rest_positions.cast<double>().colwise().mean().transpose() + o.center;
-      const Pose pose = pose_at(o.motion, pivot, time_s);
-      frame.positions.resize(o.mesh.vertex_count(), 3);
-      for (Eigen::Index v = 0; v < o.mesh.vertex_count(); ++v) {
-        frame.positions.row(v) =
-            pose.apply(o.mesh.rest_positions.row(v).cast<double>().transpose() + o.center).cast<float>().transpose();
-      }
-    }
-    frames.push_back(std::move(frame));
-  }
+  for (const Obstacle& o : scene.obstacles) frames.push_back(frame_of(o, points_at(o, time_s)));
   return frames;
 }
 

@@ -37,6 +37,18 @@ inline Topology sheet(int nx, int nz, double width, double depth) {
   return t;
 }
 
+/// A closed cube about the origin.
+inline Topology box_mesh(double size) {
+  Topology t;
+  t.rest_positions.resize(8, 3);
+  for (int v = 0; v < 8; ++v) {
+    for (int k = 0; k < 3; ++k) t.rest_positions(v, k) = static_cast<float>(size * ((v >> k & 1) ? 0.5 : -0.5));
+  }
+  t.faces.resize(12, 3);
+  t.faces << 0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5;
+  return t;
+}
+
 /// The same stiffness in all directions and at all strains: c11 = c22 = modulus / 2 in the file's terms, no coupling.
 inline Material plain_material(double modulus, double bending) {
   Material m;

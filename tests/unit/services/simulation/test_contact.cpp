@@ -84,17 +84,6 @@ Obstacle sphere(const std::string& name, const Vector3d& center, double radius) 
   return o;
 }
 
-Topology box_mesh(double size) {
-  Topology t;
-  t.rest_positions.resize(8, 3);
-  for (int v = 0; v < 8; ++v) {
-    for (int k = 0; k < 3; ++k) t.rest_positions(v, k) = static_cast<float>(size * ((v >> k & 1) ? 0.5 : -0.5));
-  }
-  t.faces.resize(12, 3);
-  t.faces << 0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5;
-  return t;
-}
-
 TEST(Contact, ClothRestsOnASphere) {
   Scene scene = sheet_scene(10);
   scene.perturbation_m = 1e-3;

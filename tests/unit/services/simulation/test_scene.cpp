@@ -113,6 +113,36 @@ TEST(Scene, RefusesBadObstacles) {
   expect_refused(with([](Obstacle& o) { o.mesh = sheet(1, 1, 1, 1); }), "a radius and a mesh");
   expect_refused(with([](Obstacle& o) { o.radius = 0, o.mesh = sheet(1, 1, 1, 1); }), "not closed");
   expect_refused([](Scene& s) { s.obstacles = {ball(), ball()}; }, "twice");
+  expect_refused(with([](Obstacle& o) { o.capsules.resize(1); }), "a radius and capsules");
+  const auto with_capsule = [](const Capsule& capsule) {
+    return [capsule](Scene& s) {
+      s.obstacles.push_back(ball());
+      s.obstacles.back().radius = 0;
+      s.obstacles.back().capsules = {{{0, 0, 0}, {0, 1, 0}, 0.1}, capsule};
+    };
+  };
+  expect_refused(with_capsule({{0, 0, 0}, {0, 1, 0}, 0}), "capsule 1 needs a positive radius");
+  expect_refused(with_capsule({{0, 0, 0}, {0, 1, 0}, kNaN}), "capsule 1 needs a positive radius");
+  expect_refused(with_capsule({{0, kNaN, 0}, {0, 1, 0}, 1}), "capsule 1 has an end that is not finite");
+}
+
+TEST(Scene, RefusesBadAnimations) {
+  const auto with = [](const std::function<void(Obstacle&)>& spoil) {
+    return [spoil](Scene& s) {
+      Obstacle o = ball();
+      o.animation.samples.assign(3, Positions::Zero(1, 3));
+      spoil(o);
+      s.obstacles = {o};
+    };
+  };
+  Scene scene = sheet_scene();
+  with([](Obstacle&) {})(scene);
+  EXPECT_NO_THROW(validate_scene(scene));
+  expect_refused(with([](Obstacle& o) { o.animation.samples[2](0, 1) = std::nanf(""); }),
+                 "obstacle 'ball': sample 2 of the animation is not finite at point 0");
+  expect_refused(with([](Obstacle& o) { o.animation.samples[1].resize(2, 3); }), "2 points instead of 1");
+  expect_refused(with([](Obstacle& o) { o.animation.sample_time_s = 0; }), "time between");
+  expect_refused(with([](Obstacle& o) { o.motion.keys.resize(1); }), "key frames and an animation");
 }
 
 TEST(Motion, PassesThroughItsKeysSmoothly) {

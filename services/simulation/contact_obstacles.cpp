@@ -1,0 +1,56 @@
+// What the contact of spheres and capsules needs besides that of meshes.
+#include <algorithm>
+
+#include "services/simulation/contact.hpp"
+#include "services/simulation/obstacles.hpp"
+
+namespace pleat::simulation {
+
+Points ContactSystem::obstacle_particles(double time_s) const {
+  Points particles;
+  particles.reserve(particle_count_ - cloth_count_);
+  for (const Obstacle& obstacle : scene_.obstacles) {
+    const Points points = points_at(obstacle, time_s);
+    particles.insert(particles.end(), points.begin(), points.end());
+  }
+  return particles;
+}
+
+// The distance of a segment from a face, while it does not pass through it, is that of an end from the face or that of
+// the segment from an edge. So a capsule is two spheres, and an edge that keeps its radius.
+void ContactSystem::add_round_pairs(const Points& start, const Points& end, double margin) {
+  std::vector<std::uint32_t> near;
+  for (const Round& round : rounds_) {
+    const auto radius = static_cast<float>(round.radius);
+    Box box;
+    for (const std::uint32_t p : {round.a, round.b}) {
+      if (p == kNone) continue;
+      box.extend(start[p], round.radius + margin);
+      box.extend(end[p], round.radius + margin);
+    }
+    near.clear();
+    cloth_bvh_.query(box, [&](std::uint32_t f) { near.push_back(f); });
+    std::sort(near.begin(), near.end());
+    for (const std::uint32_t p : {round.a, round.b}) {
+      if (p == kNone) continue;
+      for (const std::uint32_t f : near) {
+        keep_if_close({{p, faces_[f][0], faces_[f][1], faces_[f][2]}, Kind::kSphereFace, radius}, start, end, pairs_);
+      }
+    }
+    if (round.b == kNone) continue;
+    for (const std::uint32_t f : near) {
+      for (const std::uint32_t e : own_edges_[f]) {
+        if (e == kNone) continue;
+        keep_if_close({{edges_[e][0], edges_[e][1], round.a, round.b}, Kind::kEdgeEdge, radius}, start, end, pairs_);
+      }
+    }
+  }
+}
+
+std::uint32_t ContactSystem::obstacle_of(std::uint32_t particle) const {
+  if (particle < cloth_count_) return kNone;
+  const auto after = std::upper_bound(first_particle_.begin(), first_particle_.end(), particle);
+  return static_cast<std::uint32_t>(after - first_particle_.begin()) - 1;
+}
+
+}  // namespace pleat::simulation
