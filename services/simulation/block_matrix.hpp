@@ -7,11 +7,9 @@
 #include <vector>
 
 #include "common/base/parallel.hpp"
+#include "common/base/simd.hpp"
 
 namespace pleat::simulation {
-
-/// Four floats in a vector register; the fourth is unused.
-using Float4 = float __attribute__((vector_size(16)));
 
 /// Vertices are handled in ranges of this many, whatever the number of threads: sums are added in range order.
 inline constexpr std::size_t kVertexGrain = 1024;

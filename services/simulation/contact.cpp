@@ -79,26 +79,19 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
   particle_count_ = particles;
 
   // The hierarchy is built over the rest shape, where near on the surface means near in space.
-  std::vector<Box> boxes(cloth_faces_);
-  for (std::size_t f = 0; f < cloth_faces_; ++f) {
-    for (const std::uint32_t v : faces_[f]) boxes[f].extend(rest[v]);
-  }
-  cloth_bvh_ = Bvh(boxes);
+  cloth_bvh_ = SweptBvh(std::span(faces_).first(cloth_faces_), rest);
   if (faces_.size() > cloth_faces_) {
+    Points points(cloth_count_, Vector3d::Zero());
     const Points obstacles = obstacle_particles(0);
-    std::vector<Box> obstacle_boxes(faces_.size() - cloth_faces_);
-    for (std::size_t f = cloth_faces_; f < faces_.size(); ++f) {
-      for (const std::uint32_t v : faces_[f]) obstacle_boxes[f - cloth_faces_].extend(obstacles[v - cloth_count_]);
-    }
-    obstacle_bvh_ = Bvh(obstacle_boxes);
+    points.insert(points.end(), obstacles.begin(), obstacles.end());
+    obstacle_bvh_ = SweptBvh(std::span(faces_).subspan(cloth_faces_), points);
   }
   face_areas_.assign(faces_.size(), 1e30);
   for (std::size_t f = 0; f < cloth_faces_; ++f) {
     const auto& v = faces_[f];
     face_areas_[f] = (rest[v[1]] - rest[v[0]]).cross(rest[v[2]] - rest[v[0]]).norm() / 2;
   }
-  vertex_boxes_.resize(particle_count_);
-  face_boxes_.resize(faces_.size());
+  boxes_.resize(particle_count_);
   find_neighbours();
 }
 
@@ -137,41 +130,46 @@ double ContactSystem::keep_if_close(const Pair& pair, const Points& start, const
 // pair of faces. boxes: only those whose boxes overlap.
 template <typename Use>
 void ContactSystem::for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const {
-  const auto vertices_against_face = [&](std::uint32_t owner, std::uint32_t face) {
+  SweptBox box_f, box_g;
+  if (boxes) {
+    box_f = face_box(f);
+    box_g = face_box(g);
+  }
+  const auto vertices_against_face = [&](std::uint32_t owner, std::uint32_t face, const SweptBox& face_box) {
     const auto& corners = faces_[face];
     for (const std::uint32_t v : own_vertices_[owner]) {
       if (v == kNone || v == corners[0] || v == corners[1] || v == corners[2]) continue;
-      if (boxes && !vertex_boxes_[v].overlaps(face_boxes_[face])) continue;
+      if (boxes && !boxes_[v].may_meet(face_box)) continue;
       use(Pair{{v, corners[0], corners[1], corners[2]}, Kind::kVertexFace, 0});
     }
   };
-  vertices_against_face(f, g);
-  vertices_against_face(g, f);
+  vertices_against_face(f, g, box_g);
+  vertices_against_face(g, f, box_f);
   for (const std::uint32_t e : own_edges_[f]) {
     if (e == kNone) continue;
     const auto [a, b] = edges_[e];
-    Box box = vertex_boxes_[a];
-    box.extend(vertex_boxes_[b]);
-    if (boxes && !box.overlaps(face_boxes_[g])) continue;
+    SweptBox box = boxes_[a];
+    box.extend(boxes_[b]);
+    if (boxes && !box.may_meet(box_g)) continue;
     for (const std::uint32_t other : own_edges_[g]) {
       if (other == kNone) continue;
       const auto [c, d] = edges_[other];
       if (a == c || a == d || b == c || b == d) continue;
       if (boxes) {
-        Box other_box = vertex_boxes_[c];
-        other_box.extend(vertex_boxes_[d]);
-        if (!box.overlaps(other_box)) continue;
+        SweptBox other_box = boxes_[c];
+        other_box.extend(boxes_[d]);
+        if (!box.may_meet(other_box)) continue;
       }
       use(Pair{{a, b, c, d}, Kind::kEdgeEdge, 0});
     }
   }
 }
 
-bool ContactSystem::share_vertex(std::uint32_t f, std::uint32_t g) const {
-  for (const std::uint32_t v : faces_[f]) {
-    if (v == faces_[g][0] || v == faces_[g][1] || v == faces_[g][2]) return true;
-  }
-  return false;
+SweptBox ContactSystem::face_box(std::uint32_t f) const {
+  SweptBox box = boxes_[faces_[f][0]];
+  box.extend(boxes_[faces_[f][1]]);
+  box.extend(boxes_[faces_[f][2]]);
+  return box;
 }
 
 void ContactSystem::find_neighbours() {
@@ -240,25 +238,13 @@ void ContactSystem::add_neighbours(const Points& start, const Points& end, Threa
 void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPool& pool) {
   const double margin = 0.5 * thickness_ + slack_ + kGap;
   pool.parallel_for(particle_count_, 4096, [&](std::size_t begin, std::size_t last) {
-    for (std::size_t i = begin; i < last; ++i) {
-      vertex_boxes_[i] = Box{};
-      vertex_boxes_[i].extend(start[i], margin);
-      vertex_boxes_[i].extend(end[i], margin);
-    }
+    for (std::size_t i = begin; i < last; ++i) boxes_[i] = SweptBox(start[i], end[i], margin);
   });
-  pool.parallel_for(faces_.size(), 4096, [&](std::size_t begin, std::size_t last) {
-    for (std::size_t f = begin; f < last; ++f) {
-      Box box = vertex_boxes_[faces_[f][0]];
-      box.extend(vertex_boxes_[faces_[f][1]]);
-      box.extend(vertex_boxes_[faces_[f][2]]);
-      face_boxes_[f] = box;
-    }
-  });
-  cloth_bvh_.refit(std::span(face_boxes_).first(cloth_faces_));
-  std::vector<Bvh::Pair> face_pairs;
-  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(&pool, 1'000'000 + 1000 * cloth_faces_);
+  cloth_bvh_.refit(boxes_, pool);
+  std::vector<SweptBvh::Pair> face_pairs;
+  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(pool, 1'000'000 + 1000 * cloth_faces_);
   if (!obstacle_bvh_.empty()) {
-    obstacle_bvh_.refit(std::span(face_boxes_).subspan(cloth_faces_));
+    obstacle_bvh_.refit(boxes_, pool);
     for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
       face_pairs.push_back({f, g + static_cast<std::uint32_t>(cloth_faces_)});
     }
@@ -269,7 +255,6 @@ void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPoo
     auto& out = results[begin / kGrain];
     for (std::size_t p = begin; p < last; ++p) {
       const auto [f, g] = face_pairs[p];
-      if (share_vertex(f, g)) continue;
       for_each_pair(f, g, true, [&](const Pair& pair) { keep_if_close(pair, start, end, out); });
     }
   });

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "common/base/parallel.hpp"
-#include "common/mesh/bvh.hpp"
+#include "common/mesh/swept_bvh.hpp"
 #include "common/mesh/ccd.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "services/simulation/dynamics.hpp"
@@ -107,7 +107,7 @@ class ContactSystem {
   double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
   void find_neighbours();
   void add_neighbours(const Points& start, const Points& end, ThreadPool& pool);
-  bool share_vertex(std::uint32_t f, std::uint32_t g) const;
+  SweptBox face_box(std::uint32_t f) const;
   void project(std::vector<Impact>& impacts, std::span<const double> inverse_masses, Points& end) const;
   bool move_rigidly(const std::vector<Impact>& impacts, std::span<const double> inverse_masses, const Points& start,
                     Points& end, std::uint64_t& zones) const;
@@ -145,8 +145,8 @@ class ContactSystem {
   std::vector<Pair> neighbour_pairs_;
   std::vector<double> deformation_;  // per cloth face: largest change of an edge vector, summed over find_pairs calls
 
-  Bvh cloth_bvh_, obstacle_bvh_;
-  std::vector<Box> vertex_boxes_, face_boxes_;
+  SweptBvh cloth_bvh_, obstacle_bvh_;
+  std::vector<SweptBox> boxes_;  // of all particles
   std::vector<Pair> pairs_;
   Points pairs_end_;  // the end positions for which pairs_ was found
 };

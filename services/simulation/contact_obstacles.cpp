@@ -19,18 +19,13 @@ Points ContactSystem::obstacle_particles(double time_s) const {
 // The distance of a segment from a face, while it does not pass through it, is that of an end from the face or that of
 // the segment from an edge. So a capsule is two spheres, and an edge that keeps its radius.
 void ContactSystem::add_round_pairs(const Points& start, const Points& end, double margin) {
-  std::vector<std::uint32_t> near;
   for (const Round& round : rounds_) {
     const auto radius = static_cast<float>(round.radius);
-    Box box;
+    SweptBox box;
     for (const std::uint32_t p : {round.a, round.b}) {
-      if (p == kNone) continue;
-      box.extend(start[p], round.radius + margin);
-      box.extend(end[p], round.radius + margin);
+      if (p != kNone) box.extend(SweptBox(start[p], end[p], round.radius + margin));
     }
-    near.clear();
-    cloth_bvh_.query(box, [&](std::uint32_t f) { near.push_back(f); });
-    std::sort(near.begin(), near.end());
+    const std::vector<std::uint32_t> near = cloth_bvh_.query(box);
     for (const std::uint32_t p : {round.a, round.b}) {
       if (p == kNone) continue;
       for (const std::uint32_t f : near) {

@@ -64,8 +64,8 @@ Vector3d direction_apart(const Points& x, const std::array<std::uint32_t, 4>& v,
 }  // namespace
 
 void ContactSystem::find_crossings(const Points& x, ThreadPool& pool, std::vector<Violation>& found) const {
-  std::vector<Bvh::Pair> face_pairs;
-  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(&pool);
+  std::vector<SweptBvh::Pair> face_pairs;
+  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(pool, 100'000'000, true);
   if (!obstacle_bvh_.empty()) {
     for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
       face_pairs.push_back({f, g + static_cast<std::uint32_t>(cloth_faces_)});
@@ -93,13 +93,9 @@ void ContactSystem::find_crossings(const Points& x, ThreadPool& pool, std::vecto
   }
   for (const Round& round : rounds_) {
     if (round.b == kNone) continue;
-    Box box;
-    box.extend(x[round.a]);
-    box.extend(x[round.b]);
-    std::vector<std::uint32_t> near;
-    cloth_bvh_.query(box, [&](std::uint32_t f) { near.push_back(f); });
-    std::sort(near.begin(), near.end());
-    for (const std::uint32_t f : near) add(round.a, round.b, f, f, kNone);
+    SweptBox box(x[round.a], x[round.a], 0);
+    box.extend(SweptBox(x[round.b], x[round.b], 0));
+    for (const std::uint32_t f : cloth_bvh_.query(box)) add(round.a, round.b, f, f, kNone);
   }
 }
 
@@ -150,18 +146,16 @@ void ContactSystem::find_inside(const Points& x, std::vector<Violation>& found) 
       double best = 1e30;
       Vector3d way = Vector3d::Zero();
       for (double reach = 4 * thickness_; best > reach * reach && reach < 1e6; reach *= 2) {
-        Box box;
-        box.extend(x[v], reach);
-        obstacle_bvh_.query(box, [&](std::uint32_t f) {
+        for (const std::uint32_t f : obstacle_bvh_.query(SweptBox(x[v], x[v], reach))) {
           const std::uint32_t face = f + static_cast<std::uint32_t>(cloth_faces_);
-          if (face < first || face >= last) return;
+          if (face < first || face >= last) continue;
           const auto& c = faces_[face];
           const ClosestPoints points = closest_vertex_face(x[v], x[c[0]], x[c[1]], x[c[2]]);
-          if (points.squared_distance >= best) return;
+          if (points.squared_distance >= best) continue;
           best = points.squared_distance;
           way = -points.difference;
           if (best < 1e-18) way = (x[c[1]] - x[c[0]]).cross(x[c[2]] - x[c[0]]);
-        });
+        }
       }
       violation.normal = way.normalized();
       violation.depth = std::sqrt(best) + kWantedClearance * thickness_;

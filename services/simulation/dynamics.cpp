@@ -16,21 +16,20 @@ using Eigen::Vector3d;
 using Eigen::Vector3f;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t kElementGrain = 2048;
+constexpr std::size_t kPackGrain = 128;
 
 double milliseconds_since(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-Float4 to_float4(const Vector3f& v) { return Float4{v.x(), v.y(), v.z(), 0}; }
 double dot(Float4 a, Float4 b) {
   return static_cast<double>(a[0]) * b[0] + static_cast<double>(a[1]) * b[1] + static_cast<double>(a[2]) * b[2];
 }
 
-// Compressed rows: for every vertex the (element << 2 | corner) that touch it, in element order.
-template <typename Elements>
-void gather_lists(std::size_t vertices, const Elements& elements, std::vector<std::uint32_t>& offsets,
-                  std::vector<std::uint32_t>& corners) {
+// Compressed rows: for every vertex the offsets of what its elements computed for it, in element order.
+template <typename Elements, typename Offset>
+void gather_lists(std::size_t vertices, const Elements& elements, const Offset& offset,
+                  std::vector<std::uint32_t>& offsets, std::vector<std::uint32_t>& corners) {
   offsets.assign(vertices + 1, 0);
   for (const auto& e : elements) {
     for (const std::uint32_t v : e.v) ++offsets[v + 1];
@@ -40,23 +39,9 @@ void gather_lists(std::size_t vertices, const Elements& elements, std::vector<st
   std::vector<std::uint32_t> next(offsets.begin(), offsets.end() - 1);
   for (std::size_t e = 0; e < elements.size(); ++e) {
     for (std::size_t k = 0; k < elements[e].v.size(); ++k) {
-      corners[next[elements[e].v[k]]++] = static_cast<std::uint32_t>(e << 2 | k);
+      corners[next[elements[e].v[k]]++] = static_cast<std::uint32_t>(offset(e, k));
     }
   }
-}
-
-// The force of the air on one face: pressure along the normal, and tangential drag. It never reverses the motion
-// through the air within the step.
-Vector3f air_force(const Vector3f& area_normal, const Vector3f& relative, float rest_area, const Wind& wind,
-                   float mass_over_step) {
-  const float size = area_normal.norm();
-  if (size <= 0) return Vector3f::Zero();
-  const Vector3f n = area_normal / size;
-  const float along = relative.dot(n);
-  const Vector3f across = relative - along * n;
-  const float pressure = std::min(static_cast<float>(wind.density) * rest_area * std::abs(along), mass_over_step);
-  const float drag = std::min(static_cast<float>(wind.drag) * rest_area, mass_over_step);
-  return pressure * along * n + drag * across;
 }
 
 }  // namespace
@@ -83,6 +68,7 @@ Dynamics::Dynamics(const Topology& mesh, const Scene& scene, const Topology* coa
     if (mass <= 0) mass = mean;
   }
   if (coarse != nullptr) add_level(*coarse, feature_vertices, scene);
+  build_packs();
   build_pattern();
 }
 
@@ -133,57 +119,90 @@ void Dynamics::add_level(const Topology& mesh, std::span<const std::uint32_t> ma
   }
 }
 
+// A level begins with a pack of its own, because only the first one meets the air.
+std::uint32_t Dynamics::face_slot(std::size_t face) const {
+  return static_cast<std::uint32_t>(face < mass_faces_ ? face : mass_packs_ * kPack + face - mass_faces_);
+}
+
+void Dynamics::build_packs() {
+  const auto packs = [](std::size_t elements) { return (elements + kPack - 1) / kPack; };
+  mass_packs_ = packs(mass_faces_);
+  face_packs_.resize(mass_packs_ + packs(faces_.size() - mass_faces_));
+  for (std::size_t f = 0; f < faces_.size(); ++f) {
+    face_packs_[face_slot(f) / kPack].set(face_slot(f) % kPack, faces_[f].v, faces_[f].rest);
+  }
+  hinge_packs_.resize(packs(hinges_.size()));
+  for (std::size_t h = 0; h < hinges_.size(); ++h) hinge_packs_[h / kPack].set(h % kPack, hinges_[h].v, hinges_[h].rest);
+  face_records_.assign(face_packs_.size() * kPack * kFaceRecord, 0);
+  hinge_records_.assign(hinge_packs_.size() * kPack * kHingeRecord, 0);
+  reference_angles_.assign(hinge_packs_.size() * kPack, 0);
+  positions_.resize(vertex_count());
+  velocities_.resize(vertex_count());
+}
+
 void Dynamics::build_pattern() {
   const std::size_t n = vertex_count();
-  gather_lists(n, faces_, face_offsets_, face_corners_);
-  gather_lists(n, hinges_, hinge_offsets_, hinge_corners_);
+  gather_lists(
+      n, faces_, [this](std::size_t f, std::size_t k) { return face_slot(f) * kFaceRecord + kFaceForces + 3 * k; },
+      face_offsets_, face_corners_);
+  gather_lists(
+      n, hinges_, [](std::size_t h, std::size_t k) { return h * kHingeRecord + 4 * k; }, hinge_offsets_,
+      hinge_corners_);
 
+  enum class Source : std::uint8_t { kFace, kTransposed, kHinge };
   struct Entry {
     std::uint64_t key;
-    Contribution contribution;
+    Source source;
+    std::uint32_t first, second;
   };
   std::vector<Entry> entries;
   entries.reserve(3 * faces_.size() + 6 * hinges_.size());
-  const auto add = [&](std::uint32_t i, std::uint32_t j, std::size_t element, std::size_t a, std::size_t b,
-                       bool hinge) {
-    if (i == j) return;
-    if (i > j) {
-      std::swap(i, j);
-      std::swap(a, b);
-    }
-    entries.push_back(
-        {static_cast<std::uint64_t>(i) << 32 | j,
-         {static_cast<std::uint32_t>(element), static_cast<std::uint8_t>(a), static_cast<std::uint8_t>(b), hinge}});
+  const auto key = [](std::uint32_t i, std::uint32_t j) {
+    return static_cast<std::uint64_t>(std::min(i, j)) << 32 | std::max(i, j);
   };
   for (std::size_t f = 0; f < faces_.size(); ++f) {
-    for (std::size_t k = 0; k < 3; ++k) add(faces_[f].v[k], faces_[f].v[(k + 1) % 3], f, k, (k + 1) % 3, false);
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint32_t i = faces_[f].v[k], j = faces_[f].v[(k + 1) % 3];
+      if (i == j) continue;
+      entries.push_back({key(i, j), i < j ? Source::kFace : Source::kTransposed,
+                         static_cast<std::uint32_t>(face_slot(f) * kFaceRecord + 9 * k), 0});
+    }
   }
   for (std::size_t h = 0; h < hinges_.size(); ++h) {
     for (std::size_t a = 0; a < 4; ++a) {
-      for (std::size_t b = a + 1; b < 4; ++b) add(hinges_[h].v[a], hinges_[h].v[b], h, a, b, true);
+      for (std::size_t b = a + 1; b < 4; ++b) {
+        const std::uint32_t i = hinges_[h].v[a], j = hinges_[h].v[b];
+        if (i == j) continue;
+        const auto at_a = static_cast<std::uint32_t>(h * kHingeRecord + 4 * a);
+        const auto at_b = static_cast<std::uint32_t>(h * kHingeRecord + 4 * b);
+        entries.push_back({key(i, j), Source::kHinge, i < j ? at_a : at_b, i < j ? at_b : at_a});
+      }
     }
   }
   std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.key < b.key; });
+  const auto begins = [this] {
+    return PairSources{static_cast<std::uint32_t>(face_sources_.size()),
+                       static_cast<std::uint32_t>(transposed_sources_.size()),
+                       static_cast<std::uint32_t>(hinge_sources_.size())};
+  };
   for (std::size_t e = 0; e < entries.size(); ++e) {
-    if (e == 0 || entries[e].key != entries[e - 1].key) {
-      pairs_.push_back({static_cast<std::uint32_t>(entries[e].key >> 32), static_cast<std::uint32_t>(entries[e].key)});
-      contribution_offsets_.push_back(static_cast<std::uint32_t>(e));
+    const Entry& entry = entries[e];
+    if (e == 0 || entry.key != entries[e - 1].key) {
+      pairs_.push_back({static_cast<std::uint32_t>(entry.key >> 32), static_cast<std::uint32_t>(entry.key)});
+      sources_.push_back(begins());
     }
-    contributions_.push_back(entries[e].contribution);
+    if (entry.source == Source::kFace) face_sources_.push_back(entry.first);
+    if (entry.source == Source::kTransposed) transposed_sources_.push_back(entry.first);
+    if (entry.source == Source::kHinge) hinge_sources_.push_back({entry.first, entry.second});
   }
-  contribution_offsets_.push_back(static_cast<std::uint32_t>(entries.size()));
+  sources_.push_back(begins());
   matrix_ = BlockMatrix(n, pairs_);
 
-  face_blocks_.resize(faces_.size());
-  face_forces_.resize(faces_.size());
-  hinge_gradients_.resize(hinges_.size());
-  hinge_moments_.resize(hinges_.size());
   inverse_diagonal_.assign(9 * n + 1, 0);
   for (auto* vector : {&right_side_, &change_, &residual_, &direction_, &product_, &preconditioned_}) {
     vector->assign(n, Float4{});
   }
   fixed_.assign(n, 0);
-  reference_angles_.assign(hinges_.size(), 0);
 }
 
 Points Dynamics::internal_forces(const Points& x) const {
@@ -229,108 +248,85 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
   const auto h = static_cast<float>(step.length_s);
   const auto scale = static_cast<float>(step.length_s * (step.length_s + step.damping_s));
 
-  const bool air = step.wind.density > 0 || step.wind.drag > 0;
-  pool.parallel_for(faces_.size(), kElementGrain, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t f = begin; f < end; ++f) {
-      const Face& face = faces_[f];
-      const Vector3f e1 = (x[face.v[1]] - x[face.v[0]]).cast<float>();
-      const Vector3f e2 = (x[face.v[2]] - x[face.v[0]]).cast<float>();
-      const auto strain = triangle_strain(face.rest, e1, e2);
-      const Moduli k = table_.at(strain.g00, strain.g11, strain.g01);
-      auto& forces = face_forces_[f];
-      stretching_forces(face.rest, k, strain, forces[1], forces[2]);
-      forces[0] = -(forces[1] + forces[2]);
-      std::array<Eigen::Matrix3f, 3> blocks;
-      stretching_stiffness(face.rest, k, strain, blocks);
-      for (std::size_t b = 0; b < 3; ++b) {
-        for (int c = 0; c < 3; ++c) {
-          face_blocks_[f][3 * b + static_cast<std::size_t>(c)] = to_float4(Vector3f(blocks[b].col(c)));
-        }
-      }
-      if (air && f < mass_faces_) {
-        const Vector3d mean = (v[face.v[0]] + v[face.v[1]] + v[face.v[2]]) / 3;
-        const float mass = static_cast<float>(density_) * face.rest.area;
-        const Vector3f third =
-            air_force(e1.cross(e2), (step.wind.velocity - mean).cast<float>(), face.rest.area, step.wind, mass / h) / 3;
-        for (Vector3f& force : forces) force += third;
-      }
-    }
-  });
-
-  pool.parallel_for(hinges_.size(), kElementGrain, [&](std::size_t begin, std::size_t end) {
-    constexpr float kTurn = 2 * std::numbers::pi_v<float>;
+  pool.parallel_for(vertex_count(), 4 * kVertexGrain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
-      const Hinge& hinge = hinges_[i];
-      const Vector3d& origin = x[hinge.v[0]];
-      const auto angle =
-          hinge_angle<float>((x[hinge.v[1]] - origin).cast<float>(), (x[hinge.v[2]] - origin).cast<float>(),
-                             (x[hinge.v[3]] - origin).cast<float>());
-      // A hinge may fold past pi: stay on the branch of the last step.
-      const float theta = angle.theta + kTurn * std::round((reference_angles_[i] - angle.theta) / kTurn);
-      reference_angles_[i] = theta;
-      const float root = std::sqrt(hinge_curvature(hinge.rest, hinge_stiffness(hinge.rest, theta)));
-      hinge_moments_[i] = -root * theta;
-      for (std::size_t k = 0; k < 4; ++k) hinge_gradients_[i][k] = to_float4(Vector3f(root * angle.gradient[k]));
+      positions_[i] = Double4{x[i].x(), x[i].y(), x[i].z(), 0};
+      velocities_[i] = Double4{v[i].x(), v[i].y(), v[i].z(), 0};
+    }
+  });
+  const Air air{velocities_.data(), step.wind.velocity.cast<float>(), static_cast<float>(step.wind.density),
+                static_cast<float>(step.wind.drag), static_cast<float>(density_) / h};
+  const bool windy = step.wind.density > 0 || step.wind.drag > 0;
+  pool.parallel_for(face_packs_.size(), kPackGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t p = begin; p < end; ++p) {
+      stretching_pack(face_packs_[p], positions_.data(), table_, windy && p < mass_packs_ ? &air : nullptr,
+                      face_records_.data() + p * kPack * kFaceRecord);
+    }
+  });
+  pool.parallel_for(hinge_packs_.size(), kPackGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t p = begin; p < end; ++p) {
+      bending_pack(hinge_packs_[p], positions_.data(), reference_angles_.data() + p * kPack,
+                   hinge_records_.data() + p * kPack * kHingeRecord);
     }
   });
 
-  pool.parallel_for(pairs_.size(), 4 * kElementGrain, [&](std::size_t begin, std::size_t end) {
+  pool.parallel_for(pairs_.size(), 8 * kVertexGrain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t p = begin; p < end; ++p) {
-      Float4 c0{}, c1{}, c2{};
-      for (std::uint32_t c = contribution_offsets_[p]; c < contribution_offsets_[p + 1]; ++c) {
-        const Contribution& from = contributions_[c];
-        if (from.hinge) {
-          const auto& g = hinge_gradients_[from.element];
-          const Float4 a = g[from.a], b = g[from.b];
-          c0 += a * b[0];
-          c1 += a * b[1];
-          c2 += a * b[2];
-        } else if ((from.a + 1) % 3 == from.b) {
-          const Float4* block = face_blocks_[from.element].data() + 3 * from.a;
-          c0 += block[0];
-          c1 += block[1];
-          c2 += block[2];
-        } else {
-          const Float4* block = face_blocks_[from.element].data() + 3 * from.b;
-          c0 += Float4{block[0][0], block[1][0], block[2][0], 0};
-          c1 += Float4{block[0][1], block[1][1], block[2][1], 0};
-          c2 += Float4{block[0][2], block[1][2], block[2][2], 0};
-        }
+      const PairSources &first = sources_[p], &last = sources_[p + 1];
+      Float4 c0{}, c1{}, c2{}, t0{}, t1{}, t2{};
+      for (std::uint32_t s = first.face; s < last.face; ++s) {
+        const float* block = face_records_.data() + face_sources_[s];
+        c0 += BlockMatrix::load(block);
+        c1 += BlockMatrix::load(block + 3);
+        c2 += BlockMatrix::load(block + 6);
       }
-      c0 *= scale;
-      c1 *= scale;
-      c2 *= scale;
+      for (std::uint32_t s = first.transposed; s < last.transposed; ++s) {
+        const float* block = face_records_.data() + transposed_sources_[s];
+        t0 += BlockMatrix::load(block);
+        t1 += BlockMatrix::load(block + 3);
+        t2 += BlockMatrix::load(block + 6);
+      }
+      for (std::uint32_t s = first.hinge; s < last.hinge; ++s) {
+        const Float4 a = BlockMatrix::load(hinge_records_.data() + hinge_sources_[s].first);
+        const Float4 b = BlockMatrix::load(hinge_records_.data() + hinge_sources_[s].second);
+        c0 += a * b[0];
+        c1 += a * b[1];
+        c2 += a * b[2];
+      }
+      c0 = scale * (c0 + Float4{t0[0], t1[0], t2[0], 0});
+      c1 = scale * (c1 + Float4{t0[1], t1[1], t2[1], 0});
+      c2 = scale * (c2 + Float4{t0[2], t1[2], t2[2], 0});
       BlockMatrix::store(matrix_.block(matrix_.upper_slot(p)), c0, c1, c2);
       BlockMatrix::store(matrix_.block(matrix_.lower_slot(p)), Float4{c0[0], c1[0], c2[0], 0},
                          Float4{c0[1], c1[1], c2[1], 0}, Float4{c0[2], c1[2], c2[2], 0});
     }
   });
 
-  const Vector3f gravity = step.gravity.cast<float>();
+  const Float4 gravity = to_float4(step.gravity);
   pool.parallel_for(vertex_count(), kVertexGrain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const auto mass = static_cast<float>(masses_[i]);
-      Vector3f force = mass * gravity;
+      Float4 force = mass * gravity;
       for (std::uint32_t c = face_offsets_[i]; c < face_offsets_[i + 1]; ++c) {
-        force += face_forces_[face_corners_[c] >> 2][face_corners_[c] & 3];
+        force += BlockMatrix::load(face_records_.data() + face_corners_[c]);
       }
-      Float4 bending{};
       for (std::uint32_t c = hinge_offsets_[i]; c < hinge_offsets_[i + 1]; ++c) {
-        const std::uint32_t hinge = hinge_corners_[c] >> 2;
-        bending += hinge_moments_[hinge] * hinge_gradients_[hinge][hinge_corners_[c] & 3];
+        const float moment = hinge_records_[hinge_corners_[c] / kHingeRecord * kHingeRecord + 3];
+        force += moment * BlockMatrix::load(hinge_records_.data() + hinge_corners_[c]);
       }
       // K v through velocity differences: the common motion, far larger than the rest in a fall, drops out exactly.
       Float4 c0{mass, 0, 0, 0}, c1{0, mass, 0, 0}, c2{0, 0, mass, 0}, stiffness_velocity{};
       for (std::uint32_t slot = matrix_.row_begin(i); slot < matrix_.row_end(i); ++slot) {
         const float* block = matrix_.block(slot);
-        c0 -= BlockMatrix::load(block);
-        c1 -= BlockMatrix::load(block + 3);
-        c2 -= BlockMatrix::load(block + 6);
-        const Vector3d difference = v[matrix_.column(slot)] - v[i];
-        stiffness_velocity += BlockMatrix::apply(block, to_float4(Vector3f(difference.cast<float>())));
+        const Float4 b0 = BlockMatrix::load(block), b1 = BlockMatrix::load(block + 3), b2 = BlockMatrix::load(block + 6);
+        c0 -= b0;
+        c1 -= b1;
+        c2 -= b2;
+        const Float4 difference = __builtin_convertvector(velocities_[matrix_.column(slot)] - velocities_[i], Float4);
+        stiffness_velocity += b0 * difference[0] + b1 * difference[1] + b2 * difference[2];
       }
       BlockMatrix::store(matrix_.diagonal(i), c0, c1, c2);
-      right_side_[i] = h * (to_float4(force) + bending) - stiffness_velocity;
+      right_side_[i] = h * force - stiffness_velocity;
     }
   });
 

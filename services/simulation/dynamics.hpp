@@ -10,6 +10,7 @@
 #include "common/base/parallel.hpp"
 #include "common/mesh/mesh.hpp"
 #include "services/simulation/block_matrix.hpp"
+#include "services/simulation/element_packs.hpp"
 #include "services/simulation/elements.hpp"
 #include "services/simulation/scene.hpp"
 
@@ -85,17 +86,13 @@ class Dynamics {
     std::array<std::uint32_t, 4> v;
     HingeRest<float> rest;
   };
-  // One contribution to an off-diagonal block: of a face's block (transposed or not), or of a hinge's corners.
-  struct Contribution {
-    std::uint32_t element;
-    std::uint8_t a, b;
-    bool hinge;
-  };
-
   void add_level(const Topology& mesh, std::span<const std::uint32_t> map, const Scene& scene);
+  void build_packs();
   void build_pattern();
   void assemble(const Points& positions, const Points& velocities, const Step& step, ThreadPool& pool);
   int conjugate_gradients(const Step& step, ThreadPool& pool);
+
+  std::uint32_t face_slot(std::size_t face) const;
 
   std::vector<Face> faces_;
   std::vector<Hinge> hinges_;
@@ -106,16 +103,23 @@ class Dynamics {
 
   BlockMatrix matrix_;
   std::vector<std::pair<std::uint32_t, std::uint32_t>> pairs_;
-  std::vector<std::uint32_t> contribution_offsets_;
-  std::vector<Contribution> contributions_;
-  // Per vertex: (element << 2 | corner) of the faces, then of the hinges, whose forces it gathers.
+  // What a pair's off-diagonal block gathers: from faces, blocks at an offset into face_records_ (and in another list
+  // those to be transposed), from hinges, two gradients at offsets into hinge_records_.
+  struct PairSources {
+    std::uint32_t face, transposed, hinge;  // begins; the ends are those of the next pair
+  };
+  std::vector<PairSources> sources_;
+  std::vector<std::uint32_t> face_sources_, transposed_sources_;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> hinge_sources_;
+  // Per vertex: offsets of the face forces and of the hinge gradients (and of their hinge's record) that it gathers.
   std::vector<std::uint32_t> face_offsets_, face_corners_, hinge_offsets_, hinge_corners_;
+  std::vector<FacePack> face_packs_;  // a level begins with a pack of its own
+  std::vector<HingePack> hinge_packs_;
+  std::size_t mass_packs_ = 0;
 
   // Per step.
-  std::vector<std::array<Float4, 9>> face_blocks_;           // off-diagonal stiffness blocks, by columns
-  std::vector<std::array<Eigen::Vector3f, 3>> face_forces_;  // elastic and air
-  std::vector<std::array<Float4, 4>> hinge_gradients_;       // scaled by the root of the stiffness
-  std::vector<float> hinge_moments_;                         // force = moment * scaled gradient
+  std::vector<Double4> positions_, velocities_;  // copies in registers' layout
+  std::vector<float> face_records_, hinge_records_;
   std::vector<float> inverse_diagonal_;
   std::vector<Float4> right_side_, change_, residual_, direction_, product_, preconditioned_;
   std::vector<char> fixed_;

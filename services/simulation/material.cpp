@@ -35,10 +35,6 @@ void read_table(const json& value, const std::string& what, std::array<std::arra
   }
 }
 
-// The grid of the stretching table.
-constexpr int kSamples = 30;
-constexpr double kLowestStrain = -0.25;
-
 }  // namespace
 
 Material parse_material(std::string_view text, const std::string& name) {

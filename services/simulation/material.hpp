@@ -41,6 +41,11 @@ class StretchingTable {
  public:
   StretchingTable(const Material& material, double multiplier);
   Moduli at(double g00, double g11, double g01) const;
+  /// The grid, for code that interpolates several strains at once: kSamples values of G00 by G11 by |G01|, in steps of
+  /// 1 / kSamples from kLowestStrain (G01: from 0).
+  const Moduli* samples() const { return samples_.data(); }
+  static constexpr int kSamples = 30;
+  static constexpr double kLowestStrain = -0.25;
   /// The model before tabulation, for tests and for building the table.
   static Moduli exact(const Material& material, double g00, double g11, double g01);
 
