@@ -62,8 +62,12 @@ Subdivision subdivide(const Topology& coarse, int rounds) {
   s.fine = coarse;
   s.feature_vertices.resize(static_cast<std::size_t>(coarse.vertex_count()));
   std::iota(s.feature_vertices.begin(), s.feature_vertices.end(), 0u);
+  for (const std::uint32_t v : s.feature_vertices) s.halved_edges.push_back({v, v});
+  s.level_sizes.push_back(static_cast<std::uint32_t>(s.halved_edges.size()));
   for (int round = 0; round < rounds; ++round) {
-    split(s.fine.rest_positions, s.fine.faces);
+    const Midpoints midpoints = split(s.fine.rest_positions, s.fine.faces);
+    for (const auto& [a, b] : midpoints.ends()) s.halved_edges.push_back({a, b});
+    s.level_sizes.push_back(static_cast<std::uint32_t>(s.halved_edges.size()));
     if (s.fine.uv_faces.rows() > 0) split(s.fine.uv, s.fine.uv_faces);
   }
 

@@ -1,6 +1,8 @@
 // Midpoint subdivision and the linear upsampling that belongs to it ([MFSR] section 4.1).
 #pragma once
 
+#include <array>
+#include <cstdint>
 #include <vector>
 
 #include "common/mesh/mesh.hpp"
@@ -12,6 +14,11 @@ namespace pleat {
 struct Subdivision {
   Topology fine;
   std::vector<std::uint32_t> feature_vertices;  ///< (V_coarse) indices into the fine mesh
+
+  /// How it was made, round by round: vertices after 0, 1, ... rounds, and the ends of the edge that each vertex halves
+  /// ((V_fine); a coarse vertex itself, twice). A round's vertices come after all earlier ones.
+  std::vector<std::uint32_t> level_sizes;
+  std::vector<std::array<std::uint32_t, 2>> halved_edges;
 
   /// Each fine vertex as a combination of the corners of one coarse face.
   std::vector<std::uint32_t> parent_face;                                ///< (V_fine) coarse face

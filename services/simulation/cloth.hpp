@@ -36,6 +36,9 @@ class Cloth {
   Cloth(const Topology& mesh, Points initial, std::vector<std::vector<std::uint32_t>> handle_vertices,
         const Scene& scene, const Topology* coarse = nullptr, std::span<const std::uint32_t> feature_vertices = {});
 
+  /// Tells how the mesh was subdivided: the linear solver uses the levels.
+  void use_levels(const Subdivision& subdivision) { dynamics_.use_levels(subdivision); }
+
   /// Throws kInvalidArgument unless the initial state is clean.
   void check_start(ThreadPool& pool);
 

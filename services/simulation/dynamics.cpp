@@ -26,22 +26,41 @@ double dot(Float4 a, Float4 b) {
   return static_cast<double>(a[0]) * b[0] + static_cast<double>(a[1]) * b[1] + static_cast<double>(a[2]) * b[2];
 }
 
-// Compressed rows: for every vertex the offsets of what its elements computed for it, in element order.
+// Compressed rows: for every place the offsets of what its elements computed for it, in element order.
 template <typename Elements, typename Offset>
-void gather_lists(std::size_t vertices, const Elements& elements, const Offset& offset,
+void gather_lists(std::span<const std::uint32_t> place, const Elements& elements, const Offset& offset,
                   std::vector<std::uint32_t>& offsets, std::vector<std::uint32_t>& corners) {
-  offsets.assign(vertices + 1, 0);
+  offsets.assign(place.size() + 1, 0);
   for (const auto& e : elements) {
-    for (const std::uint32_t v : e.v) ++offsets[v + 1];
+    for (const std::uint32_t v : e.v) ++offsets[place[v] + 1];
   }
   std::partial_sum(offsets.begin(), offsets.end(), offsets.begin());
   corners.resize(offsets.back());
   std::vector<std::uint32_t> next(offsets.begin(), offsets.end() - 1);
   for (std::size_t e = 0; e < elements.size(); ++e) {
     for (std::size_t k = 0; k < elements[e].v.size(); ++k) {
-      corners[next[elements[e].v[k]]++] = static_cast<std::uint32_t>(offset(e, k));
+      corners[next[place[elements[e].v[k]]]++] = static_cast<std::uint32_t>(offset(e, k));
     }
   }
+}
+
+// Halves the points at the median of their longest extent, again and again.
+void order_by_place(const Positions& points, std::span<std::uint32_t> vertices) {
+  if (vertices.size() <= 4) return;
+  Eigen::RowVector3f low = points.row(vertices[0]), high = low;
+  for (const std::uint32_t v : vertices) {
+    low = low.cwiseMin(points.row(v));
+    high = high.cwiseMax(points.row(v));
+  }
+  Eigen::Index axis = 0;
+  (high - low).maxCoeff(&axis);
+  const std::size_t half = vertices.size() / 2;
+  std::nth_element(vertices.begin(), vertices.begin() + static_cast<std::ptrdiff_t>(half), vertices.end(),
+                   [&](std::uint32_t a, std::uint32_t b) {
+                     return points(a, axis) < points(b, axis) || (points(a, axis) == points(b, axis) && a < b);
+                   });
+  order_by_place(points, vertices.first(half));
+  order_by_place(points, vertices.subspan(half));
 }
 
 }  // namespace
@@ -67,7 +86,17 @@ Dynamics::Dynamics(const Topology& mesh, const Scene& scene, const Topology* coa
   for (double& mass : masses_) {
     if (mass <= 0) mass = mean;
   }
+  const std::size_t mass_hinges = hinges_.size();
   if (coarse != nullptr) add_level(*coarse, feature_vertices, scene);
+  choose_order(mesh);
+  const auto sort_by_place = [this](auto begin, auto end) {
+    std::stable_sort(begin, end, [this](const auto& a, const auto& b) { return place_[a.v[0]] < place_[b.v[0]]; });
+  };
+  const auto mass_faces = static_cast<std::ptrdiff_t>(mass_faces_);
+  sort_by_place(faces_.begin(), faces_.begin() + mass_faces);
+  sort_by_place(faces_.begin() + mass_faces, faces_.end());
+  sort_by_place(hinges_.begin(), hinges_.begin() + static_cast<std::ptrdiff_t>(mass_hinges));
+  sort_by_place(hinges_.begin() + static_cast<std::ptrdiff_t>(mass_hinges), hinges_.end());
   build_packs();
   build_pattern();
 }
@@ -119,6 +148,14 @@ void Dynamics::add_level(const Topology& mesh, std::span<const std::uint32_t> ma
   }
 }
 
+void Dynamics::choose_order(const Topology& mesh) {
+  vertex_at_.resize(vertex_count());
+  std::iota(vertex_at_.begin(), vertex_at_.end(), 0u);
+  order_by_place(mesh.rest_positions, vertex_at_);
+  place_.resize(vertex_count());
+  for (std::uint32_t p = 0; p < vertex_at_.size(); ++p) place_[vertex_at_[p]] = p;
+}
+
 // A level begins with a pack of its own, because only the first one meets the air.
 std::uint32_t Dynamics::face_slot(std::size_t face) const {
   return static_cast<std::uint32_t>(face < mass_faces_ ? face : mass_packs_ * kPack + face - mass_faces_);
@@ -128,11 +165,17 @@ void Dynamics::build_packs() {
   const auto packs = [](std::size_t elements) { return (elements + kPack - 1) / kPack; };
   mass_packs_ = packs(mass_faces_);
   face_packs_.resize(mass_packs_ + packs(faces_.size() - mass_faces_));
+  const auto placed = [this](auto vertices) {
+    for (std::uint32_t& v : vertices) v = place_[v];
+    return vertices;
+  };
   for (std::size_t f = 0; f < faces_.size(); ++f) {
-    face_packs_[face_slot(f) / kPack].set(face_slot(f) % kPack, faces_[f].v, faces_[f].rest);
+    face_packs_[face_slot(f) / kPack].set(face_slot(f) % kPack, placed(faces_[f].v), faces_[f].rest);
   }
   hinge_packs_.resize(packs(hinges_.size()));
-  for (std::size_t h = 0; h < hinges_.size(); ++h) hinge_packs_[h / kPack].set(h % kPack, hinges_[h].v, hinges_[h].rest);
+  for (std::size_t h = 0; h < hinges_.size(); ++h) {
+    hinge_packs_[h / kPack].set(h % kPack, placed(hinges_[h].v), hinges_[h].rest);
+  }
   face_records_.assign(face_packs_.size() * kPack * kFaceRecord, 0);
   hinge_records_.assign(hinge_packs_.size() * kPack * kHingeRecord, 0);
   reference_angles_.assign(hinge_packs_.size() * kPack, 0);
@@ -143,10 +186,10 @@ void Dynamics::build_packs() {
 void Dynamics::build_pattern() {
   const std::size_t n = vertex_count();
   gather_lists(
-      n, faces_, [this](std::size_t f, std::size_t k) { return face_slot(f) * kFaceRecord + kFaceForces + 3 * k; },
+      place_, faces_, [this](std::size_t f, std::size_t k) { return face_slot(f) * kFaceRecord + kFaceForces + 3 * k; },
       face_offsets_, face_corners_);
   gather_lists(
-      n, hinges_, [](std::size_t h, std::size_t k) { return h * kHingeRecord + 4 * k; }, hinge_offsets_,
+      place_, hinges_, [](std::size_t h, std::size_t k) { return h * kHingeRecord + 4 * k; }, hinge_offsets_,
       hinge_corners_);
 
   enum class Source : std::uint8_t { kFace, kTransposed, kHinge };
@@ -162,7 +205,7 @@ void Dynamics::build_pattern() {
   };
   for (std::size_t f = 0; f < faces_.size(); ++f) {
     for (std::size_t k = 0; k < 3; ++k) {
-      const std::uint32_t i = faces_[f].v[k], j = faces_[f].v[(k + 1) % 3];
+      const std::uint32_t i = place_[faces_[f].v[k]], j = place_[faces_[f].v[(k + 1) % 3]];
       if (i == j) continue;
       entries.push_back({key(i, j), i < j ? Source::kFace : Source::kTransposed,
                          static_cast<std::uint32_t>(face_slot(f) * kFaceRecord + 9 * k), 0});
@@ -171,7 +214,7 @@ void Dynamics::build_pattern() {
   for (std::size_t h = 0; h < hinges_.size(); ++h) {
     for (std::size_t a = 0; a < 4; ++a) {
       for (std::size_t b = a + 1; b < 4; ++b) {
-        const std::uint32_t i = hinges_[h].v[a], j = hinges_[h].v[b];
+        const std::uint32_t i = place_[hinges_[h].v[a]], j = place_[hinges_[h].v[b]];
         if (i == j) continue;
         const auto at_a = static_cast<std::uint32_t>(h * kHingeRecord + 4 * a);
         const auto at_b = static_cast<std::uint32_t>(h * kHingeRecord + 4 * b);
@@ -203,6 +246,10 @@ void Dynamics::build_pattern() {
     vector->assign(n, Float4{});
   }
   fixed_.assign(n, 0);
+}
+
+void Dynamics::use_levels(const Subdivision& subdivision) {
+  multilevel_ = Multilevel(subdivision.level_sizes, subdivision.halved_edges, place_, pairs_, matrix_);
 }
 
 Points Dynamics::internal_forces(const Points& x) const {
@@ -250,8 +297,9 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
 
   pool.parallel_for(vertex_count(), 4 * kVertexGrain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
-      positions_[i] = Double4{x[i].x(), x[i].y(), x[i].z(), 0};
-      velocities_[i] = Double4{v[i].x(), v[i].y(), v[i].z(), 0};
+      const Vector3d &position = x[vertex_at_[i]], &velocity = v[vertex_at_[i]];
+      positions_[i] = Double4{position.x(), position.y(), position.z(), 0};
+      velocities_[i] = Double4{velocity.x(), velocity.y(), velocity.z(), 0};
     }
   });
   const Air air{velocities_.data(), step.wind.velocity.cast<float>(), static_cast<float>(step.wind.density),
@@ -305,7 +353,7 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
   const Float4 gravity = to_float4(step.gravity);
   pool.parallel_for(vertex_count(), kVertexGrain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
-      const auto mass = static_cast<float>(masses_[i]);
+      const auto mass = static_cast<float>(masses_[vertex_at_[i]]);
       Float4 force = mass * gravity;
       for (std::uint32_t c = face_offsets_[i]; c < face_offsets_[i + 1]; ++c) {
         force += BlockMatrix::load(face_records_.data() + face_corners_[c]);
@@ -332,20 +380,24 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
 
   std::fill(fixed_.begin(), fixed_.end(), 0);
   for (const Pin& pin : step.pins) {
-    const std::uint32_t i = pin.vertex;
+    const std::uint32_t i = place_[pin.vertex];
+    const Vector3d way = pin.target - x[pin.vertex];
     if (pin.hard) {
       fixed_[i] = 1;
-      change_[i] = to_float4(((pin.target - x[i]) / step.length_s - v[i]).cast<float>());
+      change_[i] = to_float4(way / step.length_s - v[pin.vertex]);
       continue;
     }
     Eigen::Map<Eigen::Matrix3f> diagonal(matrix_.diagonal(i));
     diagonal.diagonal().array() += static_cast<float>(step.length_s * step.length_s * pin.stiffness);
-    right_side_[i] +=
-        to_float4((step.length_s * pin.stiffness * (pin.target - x[i] - step.length_s * v[i])).cast<float>());
+    right_side_[i] += to_float4(step.length_s * pin.stiffness * (way - step.length_s * v[pin.vertex]));
   }
 
   for (std::size_t k = 0; k < 9 * vertex_count(); ++k) inverse_diagonal_[k] = matrix_.diagonal(0)[k];
-  for (const ContactForce& contact : step.contacts) {
+  contacts_.assign(step.contacts.begin(), step.contacts.end());
+  for (ContactForce& contact : contacts_) {
+    for (std::uint32_t& vertex : contact.vertices) {
+      if (vertex != kNone) vertex = place_[vertex];
+    }
     const Eigen::Matrix3f nn = contact.normal * contact.normal.transpose();
     const Eigen::Matrix3f block =
         (h * h * contact.stiffness) * nn + (h * contact.friction) * (Eigen::Matrix3f::Identity() - nn);
@@ -379,7 +431,7 @@ int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
   // Adds the contacts' part of A y to `product`; returns y . (that part).
   const auto add_contacts = [&](const std::vector<Float4>& y, std::vector<Float4>& product) {
     double energy = 0;
-    for (const ContactForce& contact : step.contacts) {
+    for (const ContactForce& contact : contacts_) {
       Float4 sum{};
       for (std::size_t k = 0; k < 4; ++k) {
         if (contact.vertices[k] != kNone) sum += contact.weights[k] * y[contact.vertices[k]];
@@ -424,6 +476,19 @@ int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
     partial[begin / kVertexGrain] = rz;
     partial2[begin / kVertexGrain] = bz;
   });
+  // With coarser levels: their corrections, and the product with the residual anew.
+  const auto correct = [&](std::vector<Float4>& z) {
+    multilevel_.add_corrections(residual_, fixed_, z, pool);
+    pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
+      double sum = 0;
+      for (std::size_t i = begin; i < end; ++i) sum += dot(residual_[i], z[i]);
+      partial[begin / kVertexGrain] = sum;
+    });
+  };
+  if (!multilevel_.empty()) {
+    multilevel_.update(matrix_, pool);
+    correct(direction_);
+  }
   double rz = total(partial);
   const double target = step.tolerance * step.tolerance * total(partial2);
 
@@ -455,6 +520,7 @@ int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
       }
       partial[begin / kVertexGrain] = sum;
     });
+    if (!multilevel_.empty()) correct(preconditioned_);
     const double next = total(partial);
     const auto beta = static_cast<float>(next / rz);
     rz = next;
@@ -472,7 +538,7 @@ int Dynamics::solve(const Points& positions, Points& velocities, const Step& ste
   const auto middle = Clock::now();
   const int iterations = conjugate_gradients(step, pool);
   for (std::size_t i = 0; i < vertex_count(); ++i) {
-    const Float4 dv = change_[i];
+    const Float4 dv = change_[place_[i]];
     velocities[i] += Vector3d(static_cast<double>(dv[0]), static_cast<double>(dv[1]), static_cast<double>(dv[2]));
   }
   solve_ms_ = milliseconds_since(middle);
