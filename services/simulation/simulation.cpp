@@ -280,7 +280,7 @@ struct Simulation::State {
     } else {
       fine.emplace(subdivision.fine, fine_initial, std::move(fine_handles), scene);
     }
-    if (!getenv("NOML")) fine->use_levels(subdivision);
+    fine->use_levels(subdivision);
     fine->check_start(pool);
   }
 
