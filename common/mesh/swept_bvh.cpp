@@ -25,6 +25,20 @@ std::uint32_t meeting(const Leaf& a, std::size_t i, const Leaf& b) {
   return ~bits(apart) & 0xffu;
 }
 
+// Lanes of b that may meet a box.
+template <typename Leaf>
+std::uint32_t meeting(const SweptBox& box, const Leaf& b) {
+  const Float8 zero{};
+  Int8 apart{};
+  for (std::size_t k = 0; k < 3; ++k) {
+    const int axis = static_cast<int>(k);
+    const Float8 back = min(zero, box.motion_lower[axis] - b.motion_upper[k]);
+    const Float8 forth = max(zero, box.motion_upper[axis] - b.motion_lower[k]);
+    apart |= (box.lower[axis] + back > b.upper[k]) | (box.upper[axis] + forth < b.lower[k]);
+  }
+  return ~bits(apart) & 0xffu;
+}
+
 // Lanes of b whose face has a vertex in common with face i of a.
 template <typename Leaf>
 std::uint32_t sharing(const Leaf& a, std::size_t i, const Leaf& b) {
@@ -127,10 +141,14 @@ SweptBox SweptBvh::lane_box(const Leaf& leaf, std::size_t i) const {
   return box;
 }
 
-void SweptBvh::leaf_pairs(const Leaf& a, const Leaf& b, bool neighbours, std::vector<Pair>& out) const {
-  for (std::size_t i = 0; i < a.count; ++i) {
-    std::uint32_t lanes = meeting(a, i, b);
-    if (&a == &b) lanes &= ~((2u << i) - 1);
+void SweptBvh::leaf_pairs(std::uint32_t p, std::uint32_t q, bool neighbours, std::vector<Pair>& out) const {
+  const Leaf &a = leaves_[nodes_[p].leaf], &b = leaves_[nodes_[q].leaf];
+  // Most faces of neighbouring leaves are far from the other leaf: one look at all of them.
+  const std::uint32_t near_b = p == q ? 0xffu : meeting(boxes_[p], b);
+  for (std::uint32_t rows = p == q ? 0xffu : meeting(boxes_[q], a); rows != 0 && near_b != 0; rows &= rows - 1) {
+    const auto i = static_cast<std::size_t>(__builtin_ctz(rows));
+    std::uint32_t lanes = near_b & meeting(a, i, b);
+    if (p == q) lanes &= ~((2u << i) - 1);
     if (lanes == 0) continue;
     if (!neighbours) lanes &= ~sharing(a, i, b);
     for (; lanes != 0; lanes &= lanes - 1) {
@@ -150,7 +168,7 @@ void SweptBvh::collide(std::uint32_t a, std::uint32_t b, std::size_t limit, bool
     const bool leaf_p = nodes_[p].leaf != kInner, leaf_q = nodes_[q].leaf != kInner;
     if (p == q) {
       if (leaf_p) {
-        leaf_pairs(leaves_[nodes_[p].leaf], leaves_[nodes_[p].leaf], neighbours, out);
+        leaf_pairs(p, p, neighbours, out);
         continue;
       }
       stack.push_back({p + 1, nodes_[p].right});
@@ -160,7 +178,7 @@ void SweptBvh::collide(std::uint32_t a, std::uint32_t b, std::size_t limit, bool
     }
     if (!boxes_[p].may_meet(boxes_[q])) continue;
     if (leaf_p && leaf_q) {
-      leaf_pairs(leaves_[nodes_[p].leaf], leaves_[nodes_[q].leaf], neighbours, out);
+      leaf_pairs(p, q, neighbours, out);
     } else if (leaf_q) {
       stack.push_back({nodes_[p].right, q});
       stack.push_back({p + 1, q});

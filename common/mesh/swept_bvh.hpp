@@ -87,7 +87,7 @@ class SweptBvh {
   void build(std::span<const std::array<std::uint32_t, 3>> faces, std::span<const Eigen::Vector3d> centers,
              std::span<std::uint32_t> elements);
   void collide(std::uint32_t p, std::uint32_t q, std::size_t limit, bool neighbours, std::vector<Pair>& out) const;
-  void leaf_pairs(const Leaf& a, const Leaf& b, bool neighbours, std::vector<Pair>& out) const;
+  void leaf_pairs(std::uint32_t p, std::uint32_t q, bool neighbours, std::vector<Pair>& out) const;
   SweptBox lane_box(const Leaf& leaf, std::size_t i) const;
 
   std::vector<Node> nodes_;
