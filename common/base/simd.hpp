@@ -70,7 +70,8 @@ inline Float8 atan2(Float8 y, Float8 x) {
   const Float8 a = min(ax, ay) / max(max(ax, ay), broadcast8(1e-37f));
   const Int8 large = a > 0.41421356f;
   const Float8 t = select(large, (a - 1) / (a + 1), a), z = t * t;
-  Float8 r = (((8.05374449538e-2f * z - 1.38776856032e-1f) * z + 1.99777106478e-1f) * z - 3.33329491539e-1f) * z * t + t;
+  Float8 r =
+      (((8.05374449538e-2f * z - 1.38776856032e-1f) * z + 1.99777106478e-1f) * z - 3.33329491539e-1f) * z * t + t;
   r += select(large, broadcast8(0.785398163f), Float8{});
   r = select(ay > ax, 1.57079633f - r, r);
   r = select(x < 0, 3.14159265f - r, r);

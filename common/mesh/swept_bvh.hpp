@@ -25,8 +25,7 @@ struct SweptBox {
   SweptBox(const Eigen::Vector3d& start, const Eigen::Vector3d& end, double margin) {
     const Eigen::Vector3d motion = end - start;
     // Float32 rounds a value by 2^-24 of it at most; the sums of may_meet() round a few times more.
-    const Eigen::Vector3d around =
-        (4e-7 * (start.cwiseAbs() + motion.cwiseAbs())).array() + (margin + 1e-30);
+    const Eigen::Vector3d around = (4e-7 * (start.cwiseAbs() + motion.cwiseAbs())).array() + (margin + 1e-30);
     lower = to_float4(Eigen::Vector3d(start - around));
     upper = to_float4(Eigen::Vector3d(start + around));
     motion_lower = motion_upper = to_float4(motion);

@@ -14,6 +14,7 @@ using Clock = std::chrono::steady_clock;
 
 // Metres. Nothing of a garment's scene is farther from the origin; NaN isn't nearer either.
 constexpr double kFarthest = 1e5;
+constexpr int kMostHalvings = 6;
 
 double milliseconds(Clock::time_point from, Clock::time_point to) {
   return std::chrono::duration<double, std::milli>(to - from).count();
@@ -77,6 +78,10 @@ void Cloth::collect_pins(double time_s, double step_s) {
 }
 
 void Cloth::step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool) {
+  advance(time_s, step_s, springs, pool, 0);
+}
+
+void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool, int halvings) {
   const auto start = Clock::now();
   collect_pins(time_s, step_s);
   inverse_masses_.resize(vertex_count());
@@ -101,17 +106,28 @@ void Cloth::step(double time_s, double step_s, std::span<const Pin> springs, Thr
   step.wind = scene_.wind;
   step.pins = pins_;
   step.contacts = forces;
+  const Points velocities_before = velocities_;
   report_.solver_iterations += static_cast<std::uint64_t>(dynamics_.solve(positions_, velocities_, step, pool));
   const auto solve_done = Clock::now();
 
   Points end(positions_.size());
+  bool inside = true;  // false for NaN as well
   for (std::size_t i = 0; i < vertex_count(); ++i) {
     end[i] = positions_[i] + step_s * velocities_[i];
-    if (!(end[i].cwiseAbs().maxCoeff() < kFarthest)) {
+    inside = inside && end[i].cwiseAbs().maxCoeff() < kFarthest;
+  }
+  if (!inside || (halvings < kMostHalvings && dynamics_.bursts(positions_, end))) {
+    velocities_ = velocities_before;
+    dynamics_.forget_last_change();
+    if (halvings == kMostHalvings) {
       throw Error(ErrorCode::kFailedPrecondition, "scene '" + scene_.name + "': the simulation has diverged at " +
-                                                      std::to_string(time_s) + " s (vertex " + std::to_string(i) +
-                                                      "); it may need smaller steps or weaker forces");
+                                                      std::to_string(time_s) + " s, in steps of " +
+                                                      std::to_string(1e3 * step_s) + " ms; its forces are too strong");
     }
+    ++report_.cut_steps;
+    advance(time_s, step_s / 2, springs, pool, halvings + 1);
+    advance(time_s + step_s / 2, step_s / 2, springs, pool, halvings + 1);
+    return;
   }
   for (std::size_t o = 0; o < obstacles.size(); ++o) end[vertex_count() + o] = obstacles[o];
   const Resolution resolution = contact_.resolve(positions_, end, inverse_masses_, pool);

@@ -42,7 +42,8 @@ class Cloth {
   /// Throws kInvalidArgument unless the initial state is clean.
   void check_start(ThreadPool& pool);
 
-  /// Advances from `time_s` by one step. `springs` are added to the handles.
+  /// Advances from `time_s` by one step. `springs` are added to the handles. A step that turns out too large for the
+  /// forces is made in halves, and counted as cut; kFailedPrecondition if even the smallest ones diverge.
   void step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool);
 
   std::size_t vertex_count() const { return dynamics_.vertex_count(); }
@@ -69,6 +70,7 @@ class Cloth {
 
  private:
   void collect_pins(double time_s, double step_s);
+  void advance(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool, int halvings);
 
   const Scene& scene_;
   Dynamics dynamics_;

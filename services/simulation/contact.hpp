@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "common/base/parallel.hpp"
-#include "common/mesh/swept_bvh.hpp"
 #include "common/mesh/ccd.hpp"
 #include "common/mesh/connectivity.hpp"
+#include "common/mesh/swept_bvh.hpp"
 #include "services/simulation/dynamics.hpp"
 #include "services/simulation/scene.hpp"
 

@@ -274,6 +274,18 @@ Points Dynamics::internal_forces(const Points& x) const {
   return forces;
 }
 
+bool Dynamics::bursts(const Points& start, const Points& end) const {
+  for (std::size_t f = 0; f < mass_faces_; ++f) {
+    const Face& face = faces_[f];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint32_t a = face.v[k], b = face.v[(k + 1) % 3];
+      const double length2 = std::max((start[b] - start[a]).squaredNorm(), 4 * static_cast<double>(face.rest.area));
+      if ((end[b] - end[a]).squaredNorm() > 4 * length2) return true;
+    }
+  }
+  return false;
+}
+
 double Dynamics::internal_energy(const Points& x) const {
   double energy = 0;
   for (const Face& face : faces_) {
@@ -366,7 +378,8 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
       Float4 c0{mass, 0, 0, 0}, c1{0, mass, 0, 0}, c2{0, 0, mass, 0}, stiffness_velocity{};
       for (std::uint32_t slot = matrix_.row_begin(i); slot < matrix_.row_end(i); ++slot) {
         const float* block = matrix_.block(slot);
-        const Float4 b0 = BlockMatrix::load(block), b1 = BlockMatrix::load(block + 3), b2 = BlockMatrix::load(block + 6);
+        const Float4 b0 = BlockMatrix::load(block), b1 = BlockMatrix::load(block + 3),
+                     b2 = BlockMatrix::load(block + 6);
         c0 -= b0;
         c1 -= b1;
         c2 -= b2;

@@ -80,6 +80,11 @@ class Dynamics {
   /// velocity change, which starts the linear solver.
   std::vector<float>& reference_angles() { return reference_angles_; }
   std::vector<Float4>& last_change() { return change_; }
+  void forget_last_change() { std::fill(change_.begin(), change_.end(), Float4{}); }
+
+  /// Whether an edge of the cloth gets more than twice as long (and as it was at rest, roughly) between two states:
+  /// more than a step of a stable motion can do.
+  bool bursts(const Points& start, const Points& end) const;
 
  private:
   struct Face {

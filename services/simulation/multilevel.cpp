@@ -55,7 +55,8 @@ Multilevel::Multilevel(std::span<const std::uint32_t> level_sizes, std::span<con
     for (Weights& combination : weights) {
       Weights coarser;
       const auto add = [&](std::uint32_t vertex, float weight) {
-        const auto known = std::find_if(coarser.begin(), coarser.end(), [&](const auto& e) { return e.first == vertex; });
+        const auto known =
+            std::find_if(coarser.begin(), coarser.end(), [&](const auto& e) { return e.first == vertex; });
         if (known == coarser.end()) {
           coarser.push_back({vertex, weight});
         } else {
@@ -119,7 +120,8 @@ void Multilevel::add_corrections(std::span<const Float4> r, std::span<const char
                                  ThreadPool& pool) {
   for (std::size_t l = levels_.size(); l-- > 0;) {
     Level& level = levels_[l];
-    const std::span<const Float4> finer = l + 1 == levels_.size() ? r : std::span<const Float4>(levels_[l + 1].residual);
+    const std::span<const Float4> finer =
+        l + 1 == levels_.size() ? r : std::span<const Float4>(levels_[l + 1].residual);
     pool.parallel_for(level.size, kVertexGrain, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) {
         Float4 sum{};
@@ -140,7 +142,7 @@ void Multilevel::add_corrections(std::span<const Float4> r, std::span<const char
         const std::uint32_t at = level.places[i];
         if (last && fixed[at]) continue;
         finer[at] += i < level.size ? level.correction[i]
-                                   : 0.5f * (level.correction[ends_[i][0]] + level.correction[ends_[i][1]]);
+                                    : 0.5f * (level.correction[ends_[i][0]] + level.correction[ends_[i][1]]);
       }
     });
   }

@@ -12,15 +12,15 @@
 
 namespace pleat::simulation {
 
-/// What block-Jacobi on the fine mesh can't see, smooth errors, the coarser meshes can: z += sum over the coarser levels
-/// of P D^-1 P^T r, P interpolating linearly along the edges, D the diagonal blocks of P^T A P. Symmetric and positive
-/// definite together with block-Jacobi on the finest level.
+/// What block-Jacobi on the fine mesh can't see, smooth errors, the coarser meshes can: z += sum over the coarser
+/// levels of P D^-1 P^T r, P interpolating linearly along the edges, D the diagonal blocks of P^T A P. Symmetric and
+/// positive definite together with block-Jacobi on the finest level.
 class Multilevel {
  public:
   Multilevel() = default;
-  /// level_sizes: vertices of every level, the finest last; a level's vertices are the first of the next one's. ends: of
-  /// the edge that a vertex halves, per vertex (those of the coarsest level are not read). place: the matrix's row of a
-  /// vertex. pairs: of the matrix.
+  /// level_sizes: vertices of every level, the finest last; a level's vertices are the first of the next one's. ends:
+  /// of the edge that a vertex halves, per vertex (those of the coarsest level are not read). place: the matrix's row
+  /// of a vertex. pairs: of the matrix.
   Multilevel(std::span<const std::uint32_t> level_sizes, std::span<const std::array<std::uint32_t, 2>> ends,
              std::span<const std::uint32_t> place, std::span<const std::pair<std::uint32_t, std::uint32_t>> pairs,
              const BlockMatrix& matrix);

@@ -150,6 +150,7 @@ void validate_scene(const Scene& scene) {
     fail(scene, "the subdivided garment would have more than 8,000,000 faces");
   }
   check_not_negative(scene, scene.tracking.spring, "tracking: spring");
+  if (scene.tracking.coarse_steps < 1) fail(scene, "tracking: a fine step is at least one coarse step");
   if (scene.threads < 0 || scene.threads > 1024) fail(scene, "threads must be 0 to 1024");
 }
 

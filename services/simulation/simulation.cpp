@@ -133,8 +133,9 @@ std::uint64_t scene_fingerprint(const Scene& s, Mode mode) {
   }
   w.value(s.material.stretching);
   w.value(s.material.bending);
-  for (const int v : {s.steps_per_frame, s.subdivision_rounds, static_cast<int>(mode),
-                      static_cast<int>(s.tracking.two_level), static_cast<int>(s.contact.self_collision)}) {
+  for (const int v :
+       {s.steps_per_frame, s.subdivision_rounds, static_cast<int>(mode), static_cast<int>(s.tracking.two_level),
+        s.tracking.coarse_steps, static_cast<int>(s.contact.self_collision)}) {
     w.value(v);
   }
   w.value(s.seed);
@@ -314,17 +315,22 @@ struct Simulation::State {
   void simulate_steps() {
     const double step_s = scene.frame_time_s / scene.steps_per_frame;
     std::vector<Pin> springs;
+    // Tracked, the fine cloth may take longer steps: where it is going is known.
+    const int stride = mode == Mode::kTrackedFine ? scene.tracking.coarse_steps : 1;
+    int pending = 0;  // coarse steps that the fine cloth has yet to make
     for (int s = 0; s < scene.steps_per_frame; ++s) {
       const double time_s = frame_time(next - 1) + s * step_s;
       coarse->step(time_s, step_s, {}, pool);
-      if (!fine) continue;
+      ++pending;
+      if (!fine || (pending < stride && s + 1 < scene.steps_per_frame)) continue;
       springs.clear();
       if (mode == Mode::kTrackedFine && scene.tracking.spring > 0) {
         for (std::size_t v = 0; v < subdivision.feature_vertices.size(); ++v) {
           springs.push_back({subdivision.feature_vertices[v], coarse->positions()[v], scene.tracking.spring, false});
         }
       }
-      fine->step(time_s, step_s, springs, pool);
+      fine->step(time_s - (pending - 1) * step_s, pending * step_s, springs, pool);
+      pending = 0;
     }
   }
 

@@ -190,6 +190,24 @@ TEST(Simulation, DivergenceIsAnErrorAndNotGarbage) {
   }
 }
 
+TEST(Simulation, AStepThatIsTooLargeIsCutAndReported) {
+  // A second a frame in one step, and a handle that jerks the corner away at 40 m/s.
+  Scene scene = sheet_scene(3);
+  scene.frame_time_s = 0.2;
+  scene.steps_per_frame = 1;
+  Handle handle = handle_on({0});
+  handle.hard = true;
+  handle.motion.keys = {{0, {0, 0, 0}, {0, 0, 0}}, {0.2, {0, 8, 0}, {0, 0, 0}}};
+  scene.handles.push_back(handle);
+  Simulation simulation(scene, Mode::kCoarse);
+  simulation.next_frame();
+  const SimulatedFrame frame = simulation.next_frame();
+  EXPECT_GT(frame.report.cut_steps, 0u);
+  EXPECT_TRUE(frame.coarse.positions.allFinite());
+  EXPECT_NEAR(frame.coarse.positions(0, 1), 8, 0.1);
+  EXPECT_LT(frame.coarse.positions.cwiseAbs().maxCoeff(), 20);
+}
+
 TEST(Simulation, TrackedFineFollowsTheCoarseMeshAndFreeFineDoesNot) {
   Scene scene = sheet_scene(6);
   scene.material = read_material("deploy/materials/gray-interlock.json");
