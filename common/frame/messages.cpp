@@ -13,6 +13,7 @@ namespace {
 
 constexpr int kMaxVertices = 4'000'000;
 constexpr int kMaxFaces = 8'000'000;
+constexpr int kMaxCapsules = 10'000;
 constexpr std::uint64_t kMaxTensorValues = 16u << 20;  // 64 MiB of float32, the message limit
 
 template <typename Matrix, typename Scalar>
@@ -98,6 +99,7 @@ v1::ObstacleShape to_message(const ObstacleShape& shape) {
   v1::ObstacleShape message;
   message.set_name(shape.name);
   assign(shape.faces, message.mutable_faces());
+  message.set_capsules(shape.capsules);
   return message;
 }
 
@@ -107,6 +109,9 @@ v1::ObstacleFrame to_message(const ObstacleFrame& obstacle) {
   if (obstacle.radius > 0) {
     assign(obstacle.center, message.mutable_center());
     message.set_radius(obstacle.radius);
+  } else if (!obstacle.capsule_radii.empty()) {
+    assign(obstacle.capsule_ends, message.mutable_capsule_ends());
+    message.mutable_capsule_radii()->Add(obstacle.capsule_radii.begin(), obstacle.capsule_radii.end());
   } else {
     assign(obstacle.positions, message.mutable_positions());
   }
@@ -188,7 +193,14 @@ Frame from_message(const v1::Frame& message, Eigen::Index vertices, const std::s
 ObstacleShape from_message(const v1::ObstacleShape& message, const std::string& field) {
   if (message.name().empty()) throw_invalid_argument(field + ".name: empty");
   check_limit(message.faces(), 3 * kMaxFaces, field + ".faces");
-  return {message.name(), matrix_of<Faces>(message.faces(), field + ".faces")};
+  if (message.capsules() > 0 && message.faces_size() > 0) {
+    throw_invalid_argument(field + " '" + message.name() + "': either capsules or faces, not both");
+  }
+  if (message.capsules() > static_cast<std::uint32_t>(kMaxCapsules)) {
+    throw Error(ErrorCode::kResourceExhausted, field + ".capsules: " + std::to_string(message.capsules()) +
+                                                   ", at most " + std::to_string(kMaxCapsules));
+  }
+  return {message.name(), matrix_of<Faces>(message.faces(), field + ".faces"), message.capsules()};
 }
 
 ObstacleFrame from_message(const v1::ObstacleFrame& message, const std::string& field) {
@@ -196,14 +208,25 @@ ObstacleFrame from_message(const v1::ObstacleFrame& message, const std::string& 
   obstacle.name = message.name();
   if (obstacle.name.empty()) throw_invalid_argument(field + ".name: empty");
   const bool sphere = message.center_size() > 0 || message.radius() != 0;
-  if (sphere == (message.positions_size() > 0)) {
-    throw_invalid_argument(field + " '" + obstacle.name + "': either a sphere or positions are needed");
+  const bool capsules = message.capsule_ends_size() > 0 || message.capsule_radii_size() > 0;
+  if (int{sphere} + int{capsules} + int{message.positions_size() > 0} != 1) {
+    throw_invalid_argument(field + " '" + obstacle.name + "': either a sphere, capsules or positions are needed");
   }
   if (sphere) {
     obstacle.center = vector_of(message.center(), field + ".center");
     obstacle.radius = message.radius();
     if (!(obstacle.radius > 0) || !std::isfinite(obstacle.radius)) {
       throw_invalid_argument(field + ".radius: not greater than 0");
+    }
+  } else if (capsules) {
+    check_limit(message.capsule_radii(), kMaxCapsules, field + ".capsule_radii");
+    obstacle.capsule_ends =
+        positions_from_message(message.capsule_ends(), 2 * message.capsule_radii_size(), field + ".capsule_ends");
+    obstacle.capsule_radii.assign(message.capsule_radii().begin(), message.capsule_radii().end());
+    for (const float radius : obstacle.capsule_radii) {
+      if (!(radius > 0) || !std::isfinite(radius)) {
+        throw_invalid_argument(field + ".capsule_radii: not all greater than 0");
+      }
     }
   } else {
     obstacle.positions = positions_from_message(message.positions(), -1, field + ".positions");
@@ -282,9 +305,14 @@ std::vector<ObstacleFrame> match_obstacles(std::vector<ObstacleFrame> frames, co
   for (const ObstacleShape& shape : shapes) {
     const auto found = std::find_if(frames.begin(), frames.end(), [&](const auto& f) { return f.name == shape.name; });
     if (found == frames.end()) throw_invalid_argument(field + ": '" + shape.name + "' is missing");
-    if ((shape.faces.rows() == 0) != (found->radius > 0)) {
-      throw_invalid_argument(field + ": '" + shape.name + "' is a " + (shape.faces.rows() == 0 ? "sphere" : "mesh") +
-                             " in this session");
+    const char* kind = shape.faces.rows() > 0 ? "mesh" : shape.capsules > 0 ? "capsule set" : "sphere";
+    if ((shape.faces.rows() > 0) != (found->positions.rows() > 0) ||
+        (shape.capsules > 0) == found->capsule_radii.empty()) {
+      throw_invalid_argument(field + ": '" + shape.name + "' is a " + kind + " in this session");
+    }
+    if (found->capsule_radii.size() != shape.capsules) {
+      throw_invalid_argument(field + ": '" + shape.name + "' has " + std::to_string(found->capsule_radii.size()) +
+                             " capsules instead of " + std::to_string(shape.capsules));
     }
     if (shape.faces.rows() > 0 && shape.faces.maxCoeff() >= static_cast<std::uint64_t>(found->positions.rows())) {
       throw_invalid_argument(field + ": '" + shape.name + "' has too few positions for its faces");

@@ -1,10 +1,15 @@
 #include "common/mesh/subdivision.hpp"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
 #include <numeric>
 #include <unordered_map>
+#include <utility>
 
 #include "common/base/error.hpp"
+#include "common/mesh/connectivity.hpp"
 
 namespace pleat {
 namespace {
@@ -53,9 +58,95 @@ Midpoints split(Matrix& values, Faces& faces) {
   return midpoints;
 }
 
+using Eigen::Vector3d;
+
+Vector3d point(const Positions& positions, std::uint32_t v) {
+  return positions.row(static_cast<Eigen::Index>(v)).cast<double>().transpose();
+}
+
+// The two neighbours along the boundary, kNone where there is no boundary, or more than one.
+using BoundaryNeighbours = std::vector<std::array<std::uint32_t, 2>>;
+BoundaryNeighbours boundary_neighbours(Eigen::Index vertices, const Connectivity& mesh) {
+  BoundaryNeighbours neighbours(static_cast<std::size_t>(vertices), {kNone, kNone});
+  std::vector<int> count(neighbours.size(), 0);
+  for (const Edge& edge : mesh.edges) {
+    if (edge.f1 != kNone) continue;
+    for (const auto& [v, other] : {std::pair(edge.v0, edge.v1), std::pair(edge.v1, edge.v0)}) {
+      if (count[v] < 2) neighbours[v][static_cast<std::size_t>(count[v])] = other;
+      ++count[v];
+    }
+  }
+  for (std::size_t v = 0; v < count.size(); ++v) {
+    if (count[v] != 2) neighbours[v] = {kNone, kNone};
+  }
+  return neighbours;
+}
+
+std::vector<char> find_corners(const Positions& positions, const Faces& faces) {
+  constexpr double kCosine = 0.70710678;
+  const Connectivity mesh = build_connectivity(positions.rows(), faces);
+  const BoundaryNeighbours neighbours = boundary_neighbours(positions.rows(), mesh);
+  std::vector<char> corners(neighbours.size(), 0);
+  for (const Edge& edge : mesh.edges) {
+    // Where several boundaries meet, nothing says which way to smooth.
+    if (edge.f1 == kNone) corners[edge.v0] = corners[edge.v1] = 1;
+  }
+  for (std::uint32_t v = 0; v < corners.size(); ++v) {
+    const auto [a, b] = neighbours[v];
+    if (a == kNone) continue;
+    const Vector3d before = point(positions, v) - point(positions, a),
+                   after = point(positions, b) - point(positions, v);
+    corners[v] = !(before.dot(after) >= kCosine * before.norm() * after.norm());
+  }
+  return corners;
+}
+
+// One round of Loop's rules. `corners`: vertices that stay.
+Midpoints split_with_loop(Positions& positions, Faces& faces, const std::vector<char>& corners) {
+  const Positions before = positions;
+  const Connectivity mesh = build_connectivity(before.rows(), faces);
+  const BoundaryNeighbours boundary = boundary_neighbours(before.rows(), mesh);
+  Midpoints midpoints = split(positions, faces);
+
+  const auto old_count = static_cast<std::size_t>(before.rows());
+  std::vector<Vector3d> ring(old_count, Vector3d::Zero());
+  std::vector<int> valence(old_count, 0);
+  for (const Edge& edge : mesh.edges) {
+    ring[edge.v0] += point(before, edge.v1);
+    ring[edge.v1] += point(before, edge.v0);
+    ++valence[edge.v0];
+    ++valence[edge.v1];
+  }
+  for (std::uint32_t v = 0; v < old_count; ++v) {
+    if (valence[v] == 0 || (v < corners.size() && corners[v])) continue;
+    Vector3d moved;
+    if (const auto [a, b] = boundary[v]; a != kNone) {
+      moved = 0.75 * point(before, v) + 0.125 * (point(before, a) + point(before, b));
+    } else {
+      const double center = 0.375 + 0.25 * std::cos(2 * std::numbers::pi / valence[v]);
+      const double weight = (0.625 - center * center) / valence[v];
+      moved = (1 - valence[v] * weight) * point(before, v) + weight * ring[v];
+    }
+    positions.row(static_cast<Eigen::Index>(v)) = moved.cast<float>().transpose();
+  }
+  std::unordered_map<std::uint64_t, const Edge*> edge_of;
+  const auto key = [](std::uint32_t a, std::uint32_t b) {
+    return (static_cast<std::uint64_t>(std::min(a, b)) << 32) | std::max(a, b);
+  };
+  for (const Edge& edge : mesh.edges) edge_of[key(edge.v0, edge.v1)] = &edge;
+  for (std::size_t i = 0; i < midpoints.ends().size(); ++i) {
+    const Edge& edge = *edge_of.at(key(midpoints.ends()[i].first, midpoints.ends()[i].second));
+    if (edge.f1 == kNone) continue;  // a boundary's new vertices are in the middle
+    const Vector3d moved = 0.375 * (point(before, edge.v0) + point(before, edge.v1)) +
+                           0.125 * (point(before, edge.opposite0) + point(before, edge.opposite1));
+    positions.row(static_cast<Eigen::Index>(old_count + i)) = moved.cast<float>().transpose();
+  }
+  return midpoints;
+}
+
 }  // namespace
 
-Subdivision subdivide(const Topology& coarse, int rounds) {
+Subdivision subdivide(const Topology& coarse, int rounds, SubdivisionRule rule) {
   if (rounds < 0 || rounds > 5)
     throw_invalid_argument("subdivision rounds must be 0 to 5, not " + std::to_string(rounds));
   Subdivision s;
@@ -64,8 +155,12 @@ Subdivision subdivide(const Topology& coarse, int rounds) {
   std::iota(s.feature_vertices.begin(), s.feature_vertices.end(), 0u);
   for (const std::uint32_t v : s.feature_vertices) s.halved_edges.push_back({v, v});
   s.level_sizes.push_back(static_cast<std::uint32_t>(s.halved_edges.size()));
+  std::vector<char> corners;
+  if (rule == SubdivisionRule::kLoop) corners = find_corners(coarse.rest_positions, coarse.faces);
   for (int round = 0; round < rounds; ++round) {
-    const Midpoints midpoints = split(s.fine.rest_positions, s.fine.faces);
+    const Midpoints midpoints = rule == SubdivisionRule::kLoop
+                                    ? split_with_loop(s.fine.rest_positions, s.fine.faces, corners)
+                                    : split(s.fine.rest_positions, s.fine.faces);
     for (const auto& [a, b] : midpoints.ends()) s.halved_edges.push_back({a, b});
     s.level_sizes.push_back(static_cast<std::uint32_t>(s.halved_edges.size()));
     if (s.fine.uv_faces.rows() > 0) split(s.fine.uv, s.fine.uv_faces);

@@ -1,4 +1,4 @@
-// Midpoint subdivision and the linear upsampling that belongs to it ([MFSR] section 4.1).
+// Subdivision of coarse meshes, and the linear upsampling that belongs to it ([MFSR] section 4.1).
 #pragma once
 
 #include <array>
@@ -25,9 +25,20 @@ struct Subdivision {
   Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> barycentric;  ///< (V_fine x 3), rows sum to 1
 };
 
+/// Where a round puts the rest positions. Faces, numbering and material coordinates are the same with both rules.
+enum class SubdivisionRule {
+  kMidpoint,  ///< new vertices in the middle of the edges: the same surface
+  kLoop,      ///< Loop's (1987): the surface becomes smooth, and its boundary a smooth curve of its own. Corners, where
+              ///< the boundary turns by more than 45 degrees, stay.
+};
+
 /// Splits every edge in 2^rounds: rounds = 2 gives the paper's 16 faces per face (749 -> 11,393 vertices). Material
 /// coordinates are split along, so that seams stay seams. O(F 4^rounds).
-Subdivision subdivide(const Topology& coarse, int rounds = 2);
+/// With Loop's rule material coordinates are split in the middle all the same: the charts stay the polygons that they
+/// were, so that an atlas stays one (smoothing would pull the charts' borders inwards, and apart at seams), and every
+/// fine face has its share of its coarse face's cloth. `barycentric` is linear too: upsample() gives the coarse
+/// surface.
+Subdivision subdivide(const Topology& coarse, int rounds = 2, SubdivisionRule rule = SubdivisionRule::kMidpoint);
 
 /// Barycentric upsampling of a coarse frame: (V_coarse x 3) -> (V_fine x 3). The surface stays the same set of points.
 Positions upsample(const Subdivision& subdivision, const Faces& coarse_faces, const Positions& coarse_positions);

@@ -66,7 +66,7 @@ struct SequenceOptions {
   Eigen::Index coarse_vertices = 0;
   Eigen::Index fine_vertices = 0;
   std::vector<ObstacleShape> obstacles;         ///< a shape without faces is a sphere
-  std::vector<Eigen::Index> obstacle_vertices;  ///< per obstacle; 0 for a sphere
+  std::vector<Eigen::Index> obstacle_vertices;  ///< per obstacle; 0 unless a mesh
   std::string topology_hash;                    ///< topology_hash of the fine mesh
   bool deflate = false;                         ///< compress (shuffle + deflate 1) when finished, never while recording
 };

@@ -111,7 +111,10 @@ std::vector<Array> obstacle_arrays(const std::vector<ObstacleShape>& shapes,
       throw_invalid_argument("obstacle name '" + shapes[i].name + "' can't be stored");
     }
     const std::string group = "/obstacles/" + shapes[i].name;
-    if (shapes[i].faces.rows() == 0) {
+    if (shapes[i].capsules > 0) {
+      arrays.push_back({group + "/capsule_ends", Array::Type::kFloat, {shapes[i].capsules, 2, 3}, false});
+      arrays.push_back({group + "/capsule_radii", Array::Type::kFloat, {shapes[i].capsules}, false});
+    } else if (shapes[i].faces.rows() == 0) {
       arrays.push_back({group + "/center", Array::Type::kFloat, {3}, false});
       arrays.push_back({group + "/radius", Array::Type::kFloat, {}, false});
     } else {
@@ -134,7 +137,15 @@ std::vector<const void*> obstacle_rows(const std::vector<ObstacleShape>& shapes,
     if (frames[i].name != shapes[i].name) {
       throw_invalid_argument("obstacle " + frames[i].name + " given where " + shapes[i].name + " is planned");
     }
-    if (shapes[i].faces.rows() == 0) {
+    if (shapes[i].capsules > 0) {
+      if (frames[i].capsule_radii.size() != shapes[i].capsules ||
+          frames[i].capsule_ends.rows() != 2 * static_cast<Eigen::Index>(shapes[i].capsules)) {
+        throw_invalid_argument("obstacle " + shapes[i].name + ": " + std::to_string(frames[i].capsule_radii.size()) +
+                               " capsules given, " + std::to_string(shapes[i].capsules) + " planned");
+      }
+      rows.push_back(frames[i].capsule_ends.data());
+      rows.push_back(frames[i].capsule_radii.data());
+    } else if (shapes[i].faces.rows() == 0) {
       rows.push_back(frames[i].center.data());
       rows.push_back(&frames[i].radius);
     } else {
@@ -169,6 +180,14 @@ ObstacleTable read_obstacle_shapes(const hdf5::File& file) {
       throw_data_loss(file.path().string() + ": " + group + " has a wrong `order`");
     }
     table.shapes[order].name = name;
+    if (file.is_array(group + "/capsule_radii")) {
+      const auto extents = file.extents(group + "/capsule_radii", 2, kMaxFrames * kMaxCapsules);
+      const auto ends = file.extents(group + "/capsule_ends", 4, 6 * kMaxFrames * kMaxCapsules);
+      if (extents[1] == 0 || extents[1] > kMaxCapsules || ends[1] != extents[1] || ends[2] != 2 || ends[3] != 3) {
+        throw_data_loss(file.path().string() + ": " + group + " has ends that do not fit its radii");
+      }
+      table.shapes[order].capsules = static_cast<std::uint32_t>(extents[1]);
+    }
     if (!file.is_array(group + "/faces")) continue;
     const Faces faces = read_matrix<Faces>(file, group + "/faces", H5T_NATIVE_UINT32, kMaxFaces);
     const auto extents = file.extents(group + "/positions", 3, kMaxFrames * kMaxVertices);
@@ -191,6 +210,17 @@ std::vector<std::vector<ObstacleFrame>> read_obstacles(const hdf5::File& file, c
     if (table.vertices[i] > 0) {
       auto positions = read_positions(file, group + "/positions", table.vertices[i], first, last);
       for (std::size_t k = 0; k < frames.size(); ++k) frames[k][i].positions = std::move(positions[k]);
+      continue;
+    }
+    if (const Eigen::Index capsules = table.shapes[i].capsules; capsules > 0) {
+      const hdf5::Rows ends = file.rows(group + "/capsule_ends"), radii = file.rows(group + "/capsule_radii");
+      for (std::size_t k = 0; k < frames.size(); ++k) {
+        ObstacleFrame& frame = frames[k][i];
+        frame.capsule_ends.resize(2 * capsules, 3);
+        frame.capsule_radii.resize(static_cast<std::size_t>(capsules));
+        ends.read(H5T_NATIVE_FLOAT, first + k, 1, frame.capsule_ends.data());
+        radii.read(H5T_NATIVE_FLOAT, first + k, 1, frame.capsule_radii.data());
+      }
       continue;
     }
     if (file.extents(group + "/center", 2, 3 * kMaxFrames)[1] != 3) {

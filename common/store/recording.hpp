@@ -16,6 +16,7 @@ namespace pleat::store {
 /// Limits against hostile files.
 inline constexpr hsize_t kMaxVertices = 4'000'000;
 inline constexpr hsize_t kMaxFaces = 8'000'000;
+inline constexpr hsize_t kMaxCapsules = 10'000;
 inline constexpr hsize_t kMaxFrames = 10'000'000;
 
 /// /topology/{coarse,fine}/..., /topology/feature_vertices.
@@ -44,7 +45,7 @@ std::vector<const void*> obstacle_rows(const std::vector<ObstacleShape>& shapes,
 void write_obstacle_shapes(hdf5::File& file, const std::vector<ObstacleShape>& shapes);
 struct ObstacleTable {
   std::vector<ObstacleShape> shapes;
-  std::vector<Eigen::Index> vertices;  ///< 0 for a sphere
+  std::vector<Eigen::Index> vertices;  ///< 0 unless a mesh
 };
 ObstacleTable read_obstacle_shapes(const hdf5::File& file);
 std::vector<std::vector<ObstacleFrame>> read_obstacles(const hdf5::File& file, const ObstacleTable& table,

@@ -21,7 +21,7 @@ struct ResultOptions {
   std::string scene;                            ///< JSON; empty for frames made elsewhere
   bool has_fine = false;                        ///< a simulated fine reference is stored too
   std::vector<ObstacleShape> obstacles;         ///< a shape without faces is a sphere
-  std::vector<Eigen::Index> obstacle_vertices;  ///< per obstacle; 0 for a sphere
+  std::vector<Eigen::Index> obstacle_vertices;  ///< per obstacle; 0 unless a mesh
   std::vector<std::string> stages;              ///< /stages/<name>/ms
   std::vector<std::string> counts;              ///< /counts/<name>, for example penetrations, self_intersections
   bool deflate = false;                         ///< compress (shuffle + deflate 1) in finish, never while recording

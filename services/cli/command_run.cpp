@@ -33,6 +33,7 @@ struct RunOptions {
   std::string scene, out, model, coordinator;
   std::uint32_t frames = 0;
   bool reference = false;
+  bool untangle = false;
   double timeout_s = 30;
   rpc::TlsOptions tls;
 };
@@ -89,6 +90,7 @@ class Run {
 
   int operator()() {
     v1::Scene scene = read_scene_file(options_.scene);
+    if (options_.untangle) scene.set_untangle(true);
     const bool local = options_.coordinator.empty();
     ModelChoice model{options_.model, {}};
     if (local) model = choose_model(options_.model);
@@ -253,6 +255,8 @@ std::vector<Command> add_run(CLI::App& root) {
                   "address of a running coordinator (default: start all services for this run)");
   app->add_flag("--reference,!--no-reference", options->reference,
                 "also simulate the tracked fine cloth, for comparison; the time of the run excludes it");
+  app->add_flag("--untangle", options->untangle,
+                "relax a start with self-intersections or penetrations until it is clean, instead of refusing it");
   app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
       ->capture_default_str()
       ->check(positive_number());

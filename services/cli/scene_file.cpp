@@ -8,11 +8,13 @@
 #include <regex>
 #include <set>
 #include <sstream>
+#include <utility>
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
 #include "common/mesh/mesh.hpp"
 #include "common/mesh/obj.hpp"
+#include "services/cli/animation_input.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -123,12 +125,48 @@ void check_scene(const v1::Scene& scene, Eigen::Index vertices, const Checker& c
     const std::string where = "obstacles[" + std::to_string(o) + "]";
     check.word(obstacle.name(), where + ".name");
     if (!names.insert(obstacle.name()).second) check.fail(where + ".name '" + obstacle.name() + "' is taken");
-    if (obstacle.shape_case() == v1::Obstacle::SHAPE_NOT_SET) check.fail(where + " has neither sphere nor mesh_file");
+    if (obstacle.shape_case() == v1::Obstacle::SHAPE_NOT_SET)
+      check.fail(where + " has neither sphere nor capsules nor mesh_file");
+    for (int c = 0; c < obstacle.capsules().capsules_size(); ++c) {
+      const v1::Capsule& capsule = obstacle.capsules().capsules(c);
+      const std::string key = where + ".capsules.capsules[" + std::to_string(c) + "]";
+      check.vector(capsule.a(), key + ".a", true);
+      check.vector(capsule.b(), key + ".b", true);
+      check.positive(capsule.radius(), key + ".radius");
+    }
+    if (obstacle.has_animation()) {
+      if (obstacle.motion_size() > 0) check.fail(where + " has motion and animation");
+      if (obstacle.animation().has_sample_time_s())
+        check.positive(obstacle.animation().sample_time_s(), where + ".animation.sample_time_s");
+    }
     if (obstacle.has_sphere()) {
       check.vector(obstacle.sphere().center(), where + ".sphere.center");
       check.positive(obstacle.sphere().radius(), where + ".sphere.radius");
     }
     check.motion(obstacle.motion(), where);
+  }
+}
+
+Eigen::Index point_count(const v1::Obstacle& obstacle) {
+  if (obstacle.has_mesh()) return obstacle.mesh().rest_positions_size() / 3;
+  return obstacle.has_capsules() ? 2 * obstacle.capsules().capsules_size() : 1;
+}
+
+/// Puts what the obstacle's files hold in their places.
+void inline_obstacle(v1::Obstacle& obstacle, const fs::path& folder, const std::string& where) {
+  if (obstacle.shape_case() == v1::Obstacle::kMeshFile) {
+    const fs::path file = folder / obstacle.mesh_file();
+    std::error_code ignored;
+    if (!fs::is_regular_file(file, ignored)) throw_not_found(where + ".mesh_file " + file.string() + ": no such file");
+    *obstacle.mutable_mesh() = to_message(read_obj(file));
+  }
+  if (obstacle.animation().file().empty()) return;
+  const std::string name = std::exchange(*obstacle.mutable_animation()->mutable_file(), "");
+  try {
+    for (const Positions& sample : read_animation(folder / name, point_count(obstacle)))
+      obstacle.mutable_animation()->mutable_positions()->Add(sample.data(), sample.data() + sample.size());
+  } catch (const Error& error) {
+    throw Error(error.code(), where + ".animation.file: " + error.what());
   }
 }
 
@@ -173,18 +211,17 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
     std::string material = read_text(file, name + ": material_file ");
     if (!nlohmann::json::accept(material)) throw_invalid_argument(file.string() + ": not JSON");
     scene.set_material_json(std::move(material));
+  } else if (scene.has_isotropic()) {
+    check.positive(scene.isotropic().density(), "isotropic.density");
+    check.positive(scene.isotropic().youngs_modulus(), "isotropic.youngs_modulus");
+    check.positive(scene.isotropic().thickness(), "isotropic.thickness");
+    if (!(scene.isotropic().poissons_ratio() >= 0 && scene.isotropic().poissons_ratio() <= 0.5))
+      check.fail("isotropic.poissons_ratio must be 0 to 0.5");
   } else if (!scene.has_material_json()) {
     check.fail("material_file is missing");
   }
   for (int o = 0; o < scene.obstacles_size(); ++o) {
-    v1::Obstacle& obstacle = *scene.mutable_obstacles(o);
-    if (obstacle.shape_case() != v1::Obstacle::kMeshFile) continue;
-    const fs::path file = folder / obstacle.mesh_file();
-    std::error_code ignored;
-    if (!fs::is_regular_file(file, ignored))
-      throw_not_found(name + ": obstacles[" + std::to_string(o) + "].mesh_file " + file.string() + ": no such file");
-    const Topology mesh = read_obj(file);
-    *obstacle.mutable_mesh() = to_message(mesh);
+    inline_obstacle(*scene.mutable_obstacles(o), folder, name + ": obstacles[" + std::to_string(o) + "]");
   }
   check_scene(scene, scene.garment_mesh().rest_positions_size() / 3, check);
   return scene;
@@ -197,8 +234,10 @@ v1::Scene read_scene_file(const fs::path& path) {
 std::string scene_json(const v1::Scene& scene) {
   v1::Scene bare = scene;
   bare.clear_garment();
-  for (v1::Obstacle& obstacle : *bare.mutable_obstacles())
+  for (v1::Obstacle& obstacle : *bare.mutable_obstacles()) {
     if (obstacle.has_mesh()) obstacle.clear_shape();
+    if (obstacle.has_animation()) obstacle.mutable_animation()->clear_positions();
+  }
   std::string json;
   google::protobuf::util::JsonPrintOptions options;
   options.preserve_proto_field_names = true;

@@ -20,11 +20,12 @@ namespace fs = std::filesystem;
 constexpr double kDefaultFrameTime = 0.04;
 constexpr std::uint32_t kDefaultSubdivisionRounds = 2;
 
-/// The scene as result.h5 keeps it: without the meshes, which the file holds as arrays.
+/// The scene as result.h5 keeps it: without meshes and animations, which the file holds as arrays.
 std::string scene_json(v1::Scene scene) {
   scene.clear_garment();
   for (v1::Obstacle& obstacle : *scene.mutable_obstacles()) {
     if (obstacle.has_mesh()) obstacle.clear_shape();
+    if (obstacle.has_animation()) obstacle.mutable_animation()->clear_positions();
   }
   google::protobuf::util::JsonPrintOptions options;
   options.preserve_proto_field_names = true;

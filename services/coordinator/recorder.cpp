@@ -18,6 +18,9 @@ ObstacleFrame obstacle_of(const v1::ObstacleFrame& message) {
   if (message.center_size() == 3) obstacle.center = Eigen::Map<const Eigen::Vector3f>(message.center().data());
   obstacle.radius = message.radius();
   obstacle.positions = Eigen::Map<const Positions>(message.positions().data(), message.positions_size() / 3, 3);
+  obstacle.capsule_ends =
+      Eigen::Map<const Positions>(message.capsule_ends().data(), message.capsule_ends_size() / 3, 3);
+  obstacle.capsule_radii.assign(message.capsule_radii().begin(), message.capsule_radii().end());
   return obstacle;
 }
 

@@ -35,6 +35,7 @@ Cloth::Cloth(const Topology& mesh, Points initial, std::vector<std::vector<std::
     : scene_(scene),
       dynamics_(mesh, scene, coarse, feature_vertices),
       contact_(mesh, rest_points(mesh), dynamics_.areas(), scene),
+      strain_limits_(mesh, scene.strain_limits),
       positions_(std::move(initial)) {
   velocities_.assign(positions_.size(), scene.velocity);
   const Points obstacles = contact_.obstacle_particles(0);
@@ -130,8 +131,9 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
     return;
   }
   for (std::size_t o = 0; o < obstacles.size(); ++o) end[vertex_count() + o] = obstacles[o];
+  const bool limited = strain_limits_.project(std::span(end).first(vertex_count()), inverse_masses_);
   const Resolution resolution = contact_.resolve(positions_, end, inverse_masses_, pool);
-  if (resolution.impacts > 0) {
+  if (resolution.impacts > 0 || limited) {
     for (std::size_t i = 0; i < vertex_count(); ++i) velocities_[i] = (end[i] - positions_[i]) / step_s;
   }
   positions_ = std::move(end);

@@ -11,6 +11,8 @@
 #include "services/simulation/contact.hpp"
 #include "services/simulation/dynamics.hpp"
 #include "services/simulation/scene.hpp"
+#include "services/simulation/strain_limits.hpp"
+#include "services/simulation/untangle.hpp"
 
 namespace pleat::simulation {
 
@@ -41,6 +43,9 @@ class Cloth {
 
   /// Throws kInvalidArgument unless the initial state is clean.
   void check_start(ThreadPool& pool);
+
+  /// Before the first step: relaxes an initial state that is not clean, as far as it goes (untangle.hpp).
+  void untangle(ThreadPool& pool) { simulation::untangle(contact_, positions_, pool); }
 
   /// Advances from `time_s` by one step. `springs` are added to the handles. A step that turns out too large for the
   /// forces is made in halves, and counted as cut; kFailedPrecondition if even the smallest ones diverge.
@@ -75,6 +80,7 @@ class Cloth {
   const Scene& scene_;
   Dynamics dynamics_;
   ContactSystem contact_;
+  StrainLimits strain_limits_;
   Points positions_, velocities_;  // of all particles
   std::vector<HandleState> handles_;
   std::vector<Pin> pins_;

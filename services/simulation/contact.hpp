@@ -54,6 +54,9 @@ class ContactSystem {
   std::size_t cloth_count() const { return cloth_count_; }
   std::size_t particle_count() const { return particle_count_; }
   double thickness() const { return thickness_; }  ///< metres, of the repulsion layer
+  std::span<const std::array<std::uint32_t, 3>> cloth_faces() const { return std::span(faces_).first(cloth_faces_); }
+  /// Of the cloth, then of the obstacle meshes.
+  std::span<const std::array<std::uint32_t, 2>> edges() const { return edges_; }
 
   /// Particle positions of the obstacles in their scripted places at a time, in particle order from cloth_count() on.
   Points obstacle_particles(double time_s) const;

@@ -213,7 +213,8 @@ void ContactSystem::check_start(const Points& x, ThreadPool& pool) {
   }
   if (message.empty()) return;
   if (unnamed > 0) message += "; and " + std::to_string(unnamed) + " more places";
-  throw_invalid_argument("scene '" + scene_.name + "': not clean at the start: " + message);
+  throw_invalid_argument("scene '" + scene_.name + "': not clean at the start" +
+                         (scene_.untangle ? ", not even after untangling: " : ": ") + message);
 }
 
 }  // namespace pleat::simulation

@@ -73,6 +73,27 @@ Material read_material(const std::filesystem::path& path) {
   return parse_material(text.str(), path.string());
 }
 
+Material isotropic_material(const IsotropicConstants& constants, const std::string& name) {
+  const auto check = [&](double value, const char* key) {
+    if (!(value > 0) || !std::isfinite(value)) throw_invalid_argument(name + ": " + key + " must be positive");
+  };
+  check(constants.density, "density");
+  check(constants.youngs_modulus, "Young's modulus");
+  check(constants.thickness, "thickness");
+  const double ratio = constants.poissons_ratio;
+  if (!(ratio >= 0 && ratio <= 0.5)) throw_invalid_argument(name + ": Poisson's ratio must be 0 to 0.5");
+  const double membrane = constants.youngs_modulus * constants.thickness;
+  const double rigidity = membrane * constants.thickness * constants.thickness / (12 * (1 - ratio * ratio));
+  Material material;
+  material.density = constants.density * constants.thickness;
+  // Half of what counts against Green strain: the tables are doubled where they are used.
+  const double c11 = membrane / (2 * (1 - ratio * ratio));
+  for (auto& row : material.stretching) row = {c11, ratio * c11, c11, membrane / (2 * (1 + ratio))};
+  // A hinge's energy at stiffness k is that of a plate of rigidity k/4.
+  for (auto& row : material.bending) row.fill(4 * rigidity);
+  return material;
+}
+
 Moduli StretchingTable::exact(const Material& material, double g00, double g11, double g01) {
   // Largest principal stretch and its direction, from C = 2 G + I.
   const double c00 = 2 * g00 + 1, c11 = 2 * g11 + 1, c01 = 2 * std::abs(g01);

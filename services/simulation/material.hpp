@@ -28,6 +28,19 @@ Material parse_material(std::string_view json, const std::string& name);
 /// parse_material on a file; throws kNotFound if it can't be read.
 Material read_material(const std::filesystem::path& path);
 
+/// A sheet of one elastic substance.
+struct IsotropicConstants {
+  double density = 0;         ///< kg/m^3, of the substance
+  double youngs_modulus = 0;  ///< Pa
+  double poissons_ratio = 0;  ///< 0 to 0.5
+  double thickness = 0;       ///< metres
+};
+
+/// The tables of such a sheet: stretching and shearing of a plate in plane stress, bending of a thin one. The formula
+/// is in deploy/materials/README.md. Throws kInvalidArgument, naming `name` and the key, unless the constants are
+/// finite, positive and the ratio 0 to 0.5.
+Material isotropic_material(const IsotropicConstants& constants, const std::string& name);
+
 /// Effective moduli (N/m) against Green strain: S = [[c11 G00 + c12 G11, c33 G01], [., c12 G00 + c22 G11]].
 struct Moduli {
   float c11, c12, c22, c33;

@@ -124,6 +124,10 @@ void validate_scene(const Scene& scene) {
   check_positive(scene, scene.stretching_multiplier, "stretching multiplier");
   check_not_negative(scene, scene.bending_multiplier, "bending multiplier");
   check_not_negative(scene, scene.damping_s, "damping");
+  if (!(scene.strain_limits.minimum >= 0 && scene.strain_limits.minimum <= 1)) {
+    fail(scene, "strain limits: the smallest stretch must be 0 (no limit) to 1");
+  }
+  if (!(scene.strain_limits.maximum >= 1)) fail(scene, "strain limits: the largest stretch must be at least 1");
   check_positive(scene, scene.frame_time_s, "frame time");
   if (scene.frame_time_s > 10) fail(scene, "frame time must be at most 10 s");
   if (scene.steps_per_frame < 1 || scene.steps_per_frame > kMaxSteps) {
@@ -138,6 +142,7 @@ void validate_scene(const Scene& scene) {
   check_finite(scene, scene.wind.velocity, "wind: velocity");
   check_not_negative(scene, scene.wind.drag, "wind: drag");
   check_handles(scene);
+  if (!(scene.handle_stretch_warning >= 1)) fail(scene, "handle stretch warning must be at least 1");
   check_obstacles(scene);
   check_positive(scene, scene.contact.thickness, "contact: thickness");
   check_not_negative(scene, scene.contact.stiffness, "contact: stiffness");

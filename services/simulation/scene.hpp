@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "common/mesh/mesh.hpp"
+#include "common/mesh/subdivision.hpp"
 #include "services/simulation/material.hpp"
 
 namespace pleat::simulation {
@@ -69,6 +70,14 @@ struct InitialTransform {
   double scale = 1;                                    ///< scales the rest shape and its material coordinates too
 };
 
+/// The range of the principal stretches of the faces, 1 at rest.
+struct StretchRange {
+  double minimum = 0;    ///< 0 to 1; 0: no limit
+  double maximum = 1e9;  ///< at least 1; 1e9: no limit
+
+  bool limits() const { return minimum > 0 || maximum < 1e9; }
+};
+
 struct Wind {
   double density = 1;                                  ///< of the air, kg/m^3; 0 turns the pressure off
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< m/s
@@ -97,12 +106,14 @@ struct Scene {
   InitialTransform transform;
   double perturbation_m = 0;  ///< amplitude of smooth seeded noise along the normals of the initial shape
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< initial, m/s
+  bool untangle = false;                               ///< a start that is not clean is relaxed instead of refused
 
   Material material;
   double density_multiplier = 1;
   double stretching_multiplier = 1;
   double bending_multiplier = 1;
-  double damping_s = 0;  ///< stiffness-proportional damping, seconds
+  double damping_s = 0;        ///< stiffness-proportional damping, seconds
+  StretchRange strain_limits;  ///< kept by a projection after each step, before collisions are resolved
 
   double frame_time_s = 0.04;
   int steps_per_frame = 8;
@@ -111,20 +122,22 @@ struct Scene {
   Eigen::Vector3d gravity{0, -9.81, 0};
   Wind wind;
   std::vector<Handle> handles;
+  double handle_stretch_warning = 2;  ///< a stretch of the cloth at a handle beyond this is worth a warning; at least 1
   std::vector<Obstacle> obstacles;
   Contact contact;
   int subdivision_rounds = 2;
+  SubdivisionRule subdivision_rule = SubdivisionRule::kMidpoint;  ///< kLoop: a free fine simulation's only
   Tracking tracking;
   std::uint64_t seed = 0;
   int threads = 0;  ///< 0: the processors this process may use
 };
 
 /// Throws kInvalidArgument with the culprit: garment not usable (validate_topology, validate_material_coordinates),
-/// handle on a vertex that does not exist or the same vertex in two handles at once, steps, frames or frame time not
-/// positive, values not finite, negative density, stiffness, friction or thickness, key frames out of order, an
-/// obstacle without shape or with two, an animation that does not fit it or has values that are not finite, or
-/// duplicate obstacle names. Whether the start is free of penetrations and
-/// self-intersections is checked by Simulation, which has the hierarchies. O(F log F).
+/// handle on a vertex that does not exist or the same vertex in two handles at once, strain limits without 1, steps,
+/// frames or frame time not positive, values not finite, negative density, stiffness, friction or thickness, key frames
+/// out of order, an obstacle without shape or with two, an animation that does not fit it or has values that are not
+/// finite, or duplicate obstacle names. Whether the start is free of penetrations and self-intersections is checked by
+/// Simulation, which has the hierarchies. O(F log F).
 void validate_scene(const Scene& scene);
 
 /// The pose of a motion at a time: rotation matrix and offset of x -> R x + t.

@@ -7,6 +7,7 @@
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
+#include "services/simulation/obstacles.hpp"
 
 namespace pleat::simulation {
 namespace {
@@ -40,7 +41,23 @@ Motion motion_from(const google::protobuf::RepeatedPtrField<v1::KeyFrame>& keys,
   return motion;
 }
 
-Obstacle obstacle_from(const v1::Obstacle& message, const std::string& field) {
+// (T x points x 3) -> T samples. Whether the values are finite is the scene's check, which names the sample.
+std::vector<Positions> samples_from(const google::protobuf::RepeatedField<float>& values, std::size_t points,
+                                    const std::string& field) {
+  const std::size_t row = 3 * points, count = static_cast<std::size_t>(values.size());
+  if (count == 0) throw_invalid_argument(field + ".positions is empty");
+  if (count % row != 0) {
+    throw_invalid_argument(field + ".positions: " + std::to_string(count) + " values, not a multiple of 3 x " +
+                           std::to_string(points) + " points");
+  }
+  std::vector<Positions> samples;
+  for (std::size_t first = 0; first < count; first += row) {
+    samples.emplace_back(Eigen::Map<const Positions>(values.data() + first, static_cast<Eigen::Index>(points), 3));
+  }
+  return samples;
+}
+
+Obstacle obstacle_from(const v1::Obstacle& message, double frame_time_s, const std::string& field) {
   Obstacle obstacle;
   obstacle.name = message.name();
   switch (message.shape_case()) {
@@ -52,13 +69,60 @@ Obstacle obstacle_from(const v1::Obstacle& message, const std::string& field) {
     case v1::Obstacle::kMesh:
       obstacle.mesh = from_message(message.mesh(), field + ".mesh");
       break;
+    case v1::Obstacle::kCapsules: {
+      for (int c = 0; c < message.capsules().capsules_size(); ++c) {
+        const v1::Capsule& from = message.capsules().capsules(c);
+        const std::string name = field + ".capsules.capsules[" + std::to_string(c) + "]";
+        if (from.a().empty() || from.b().empty()) throw_invalid_argument(name + ": both ends, a and b, are needed");
+        obstacle.capsules.push_back(
+            {vector_from(from.a(), name + ".a"), vector_from(from.b(), name + ".b"), from.radius()});
+      }
+      if (obstacle.capsules.empty()) throw_invalid_argument(field + ".capsules: there are none");
+      break;
+    }
     case v1::Obstacle::kMeshFile:
       throw_invalid_argument(field + ".mesh_file: on the wire the mesh itself is needed, not its file");
     case v1::Obstacle::SHAPE_NOT_SET:
       throw_invalid_argument(field + ": has no shape");
   }
   obstacle.motion = motion_from(message.motion(), field);
+  if (message.has_animation()) {
+    const v1::Animation& animation = message.animation();
+    if (!animation.file().empty()) {
+      throw_invalid_argument(field + ".animation.file: on the wire the positions are needed, not their file");
+    }
+    obstacle.animation.sample_time_s = animation.has_sample_time_s() ? animation.sample_time_s() : frame_time_s;
+    obstacle.animation.samples = samples_from(animation.positions(), point_count(obstacle), field + ".animation");
+  }
   return obstacle;
+}
+
+Material material_from(const v1::Scene& scene) {
+  switch (scene.material_case()) {
+    case v1::Scene::kMaterialJson:
+      return parse_material(scene.material_json(), "scene.material_json");
+    case v1::Scene::kIsotropic: {
+      const v1::IsotropicMaterial& m = scene.isotropic();
+      return isotropic_material({m.density(), m.youngs_modulus(), m.poissons_ratio(), m.thickness()},
+                                "scene.isotropic");
+    }
+    case v1::Scene::kMaterialFile:
+      throw_invalid_argument("scene.material_file: on the wire the material's JSON is needed, not its file");
+    case v1::Scene::MATERIAL_NOT_SET:
+      break;
+  }
+  throw_invalid_argument("scene.material_json is missing");
+}
+
+SubdivisionRule rule_from(v1::SubdivisionRule rule) {
+  switch (rule) {
+    case v1::SUBDIVISION_RULE_MIDPOINT:
+      return SubdivisionRule::kMidpoint;
+    case v1::SUBDIVISION_RULE_LOOP:
+      return SubdivisionRule::kLoop;
+    default:
+      throw_invalid_argument("scene.subdivision_rule: unknown value " + std::to_string(static_cast<int>(rule)));
+  }
 }
 
 // Message fields are unsigned; beyond every limit they must not become negative.
@@ -77,17 +141,16 @@ Scene scene_from_message(const v1::Scene& m) {
   scene.transform.translation = vector_from(m.placement().translation(), "scene.placement.translation");
   scene.transform.rotation = rotation_from(m.placement().axis(), m.placement().angle_deg(), "scene.placement");
   scene.perturbation_m = m.perturbation_m();
+  scene.untangle = m.untangle();
 
-  if (m.has_material_file()) {
-    throw_invalid_argument("scene.material_file: on the wire the material's JSON is needed, not its file");
-  }
-  if (!m.has_material_json()) throw_invalid_argument("scene.material_json is missing");
-  scene.material = parse_material(m.material_json(), "scene.material_json");
+  scene.material = material_from(m);
   const v1::MaterialOptions& options = m.material_options();
   if (options.has_density_scale()) scene.density_multiplier = options.density_scale();
   if (options.has_stretching_scale()) scene.stretching_multiplier = options.stretching_scale();
   if (options.has_bending_scale()) scene.bending_multiplier = options.bending_scale();
   if (options.has_damping_s()) scene.damping_s = options.damping_s();
+  if (options.has_minimum_stretch()) scene.strain_limits.minimum = options.minimum_stretch();
+  if (options.has_maximum_stretch()) scene.strain_limits.maximum = options.maximum_stretch();
 
   if (m.frame_time_s() != 0) scene.frame_time_s = m.frame_time_s();
   if (m.steps_per_frame() != 0) scene.steps_per_frame = bounded(m.steps_per_frame());
@@ -109,7 +172,8 @@ Scene scene_from_message(const v1::Scene& m) {
     scene.handles.push_back(std::move(handle));
   }
   for (int o = 0; o < m.obstacles_size(); ++o) {
-    scene.obstacles.push_back(obstacle_from(m.obstacles(o), "scene.obstacles[" + std::to_string(o) + "]"));
+    scene.obstacles.push_back(
+        obstacle_from(m.obstacles(o), scene.frame_time_s, "scene.obstacles[" + std::to_string(o) + "]"));
   }
   if (m.contact().has_thickness()) scene.contact.thickness = m.contact().thickness();
   if (m.contact().has_stiffness()) scene.contact.stiffness = m.contact().stiffness();
@@ -117,6 +181,8 @@ Scene scene_from_message(const v1::Scene& m) {
   if (m.has_friction()) scene.contact.friction = m.friction();
   if (m.has_obstacle_friction()) scene.contact.obstacle_friction = m.obstacle_friction();
   if (m.has_subdivision_rounds()) scene.subdivision_rounds = bounded(m.subdivision_rounds());
+  scene.subdivision_rule = rule_from(m.subdivision_rule());
+  if (m.has_handle_stretch_warning()) scene.handle_stretch_warning = m.handle_stretch_warning();
   if (m.tracking().has_spring()) scene.tracking.spring = m.tracking().spring();
   if (m.tracking().has_two_level()) scene.tracking.two_level = m.tracking().two_level();
   scene.seed = m.seed();

@@ -63,6 +63,7 @@ void fill(const SimulatedFrame& frame, v1::SimulatedFrame* message) {
   to_message(frame.coarse, message->mutable_coarse());
   if (frame.fine) to_message(*frame.fine, message->mutable_fine());
   for (const ObstacleFrame& obstacle : frame.obstacles) *message->add_obstacles() = to_message(obstacle);
+  for (const std::string& warning : frame.warnings) message->add_warnings(warning);
   const auto add_time = [&](const char* stage, double ms) {
     auto* time = message->add_stage_times();
     time->set_stage(stage);
@@ -102,6 +103,7 @@ grpc::Status SimulationService::Simulate(grpc::ServerContext* context,
     while (simulation.next_index() < frames && !writer.stopped() && !context->IsCancelled()) {
       if (draining_) return {grpc::StatusCode::UNAVAILABLE, "the service is stopping"};
       const SimulatedFrame frame = simulation.next_frame();
+      for (const std::string& warning : frame.warnings) spdlog::warn("scene '{}': {}", name, warning);
       response.Clear();
       fill(frame, response.mutable_frame());
       const std::uint64_t index = frame.coarse.index;

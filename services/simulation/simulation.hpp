@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "common/frame/frame.hpp"
@@ -44,6 +45,7 @@ struct SimulatedFrame {
   std::vector<ObstacleFrame> obstacles;
   SimulationTimes times;
   ContactReport report;
+  std::vector<std::string> warnings;  ///< what is doubtful in the scene, one line each, each once
 };
 
 /// A simulation from its first frame to its last. Deterministic: the same scene gives the same bits for any number of
@@ -51,7 +53,8 @@ struct SimulatedFrame {
 /// simulations may run at once.
 class Simulation {
  public:
-  /// Validates the scene, and that the start is clean. Throws kInvalidArgument with the culprit.
+  /// Validates the scene, and that the start is clean or, where the scene asks for it, can be relaxed until it is.
+  /// Throws kInvalidArgument with the culprit. A tracked fine mesh starts from the coarse shape: not with Loop's rule.
   Simulation(Scene scene, Mode mode);
   ~Simulation();
   Simulation(Simulation&&) noexcept;
@@ -59,7 +62,7 @@ class Simulation {
 
   const Scene& scene() const;
   Mode mode() const;
-  /// The garment (scaled by the scene's initial scale), and its subdivision.
+  /// The garment (scaled by the scene's initial scale), and its subdivision by the scene's rule.
   const Topology& coarse() const;
   const Topology& fine() const;
   const Subdivision& subdivision() const;

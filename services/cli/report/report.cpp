@@ -5,9 +5,11 @@
 #include <memory>
 #include <numeric>
 #include <string_view>
+#include <utility>
 
 #include "common/base/error.hpp"
 #include "common/store/result.hpp"
+#include "services/cli/report/capsule_surface.hpp"
 #include "services/cli/report/files.hpp"
 #include "services/cli/report/upsampling.hpp"
 
@@ -93,8 +95,14 @@ ReportInput read_report_input(const std::filesystem::path& result, ReportSummary
   input.enhanced = [reader](std::size_t t) { return std::move(reader->enhanced(t, t + 1).at(0)); };
   if (info.has_fine) input.reference = [reader](std::size_t t) { return std::move(reader->fine(t, t + 1).at(0)); };
   for (std::size_t o = 0; o < info.obstacles.size(); ++o) {
-    input.obstacles.push_back(
-        {info.obstacles[o], [reader, o](std::size_t t) { return std::move(reader->obstacles(t, t + 1).at(0).at(o)); }});
+    ObstacleShape shape = info.obstacles[o];
+    const bool capsules = shape.capsules > 0;
+    if (capsules) shape.faces = capsule_surface_faces(std::exchange(shape.capsules, 0));
+    input.obstacles.push_back({std::move(shape), [reader, o, capsules](std::size_t t) {
+                                 ObstacleFrame frame = std::move(reader->obstacles(t, t + 1).at(0).at(o));
+                                 if (capsules) frame.positions = capsule_surface(frame);
+                                 return frame;
+                               }});
   }
   for (const std::string& stage : info.stages) {
     const std::vector<float> ms = all_frames(reader->stage_ms(stage, 0, info.frames), info.frames, stage);

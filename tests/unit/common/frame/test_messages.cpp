@@ -140,6 +140,49 @@ TEST(Messages, ObstaclesRoundTripInTheSessionsOrder) {
   expect_refused([&] { obstacles_from_messages(flat, shapes); }, "obstacles[0].radius");
 }
 
+TEST(Messages, CapsuleSetsRoundTrip) {
+  ObstacleFrame limbs;
+  limbs.name = "limbs";
+  limbs.capsule_ends = square().rest_positions;  // 4 ends
+  limbs.capsule_radii = {0.5f, 0.25f};
+  const std::vector<ObstacleShape> shapes = {{"limbs", {}, 2}};
+  EXPECT_EQ(from_message(to_message(shapes[0])).capsules, 2u);
+  google::protobuf::RepeatedPtrField<v1::ObstacleFrame> messages;
+  *messages.Add() = to_message(limbs);
+  const auto frames = obstacles_from_messages(messages, shapes);
+  ASSERT_EQ(frames.size(), 1u);
+  EXPECT_EQ(frames[0].capsule_ends, limbs.capsule_ends);
+  EXPECT_EQ(frames[0].capsule_radii, limbs.capsule_radii);
+  EXPECT_EQ(frames[0].radius, 0);
+
+  const auto refused = [&](const std::function<void(v1::ObstacleFrame&)>& spoil, const std::string& field) {
+    auto bad = messages;
+    spoil(bad[0]);
+    expect_refused([&] { obstacles_from_messages(bad, shapes); }, field);
+  };
+  refused([](auto& m) { m.mutable_capsule_ends()->Truncate(9); }, "obstacles[0].capsule_ends");
+  refused([](auto& m) { m.clear_capsule_ends(); }, "obstacles[0].capsule_ends");
+  refused([](auto& m) { m.set_capsule_ends(3, std::nanf("")); }, "obstacles[0].capsule_ends");
+  refused([](auto& m) { m.set_capsule_radii(1, 0); }, "obstacles[0].capsule_radii");
+  refused([](auto& m) { m.set_capsule_radii(0, std::nanf("")); }, "obstacles[0].capsule_radii");
+  refused([](auto& m) { m.set_radius(1); }, "obstacles[0] 'limbs': either");
+  refused(
+      [](auto& m) {
+        m.mutable_capsule_ends()->Truncate(6);
+        m.mutable_capsule_radii()->Truncate(1);
+      },
+      "obstacles: 'limbs' has 1 capsules instead of 2");
+  expect_refused([&] { obstacles_from_messages(messages, {{"limbs", {}, 0}}); }, "obstacles: 'limbs' is a sphere");
+  expect_refused(
+      [&] {
+        obstacles_from_messages(messages, {{"limbs", square().faces, 0}});
+      },
+      "obstacles: 'limbs' is a mesh");
+  v1::ObstacleShape both = to_message(ObstacleShape{"limbs", square().faces, 0});
+  both.set_capsules(3);
+  expect_refused([&] { from_message(both); }, "obstacle 'limbs': either capsules or faces");
+}
+
 TEST(Messages, RigidTransformRoundTrip) {
   RigidTransform transform;
   transform.rotation = Eigen::AngleAxisf(0.7f, Eigen::Vector3f(1, 2, -1).normalized()).toRotationMatrix();

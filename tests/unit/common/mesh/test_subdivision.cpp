@@ -4,6 +4,7 @@
 
 #include <Eigen/Geometry>
 
+#include <cmath>
 #include <filesystem>
 
 #include "common/base/error.hpp"
@@ -74,6 +75,88 @@ TEST(Subdivision, ChildrenOfAFaceAreConsecutive) {
                                        coarse.rest_positions.row(corners(2))) /
                                       3;
     EXPECT_LT((center - parent).norm(), 0.05f);
+  }
+}
+
+TEST(Subdivision, LoopChangesNothingButTheRestPositions) {
+  for (const char* name : {"tablecloth", "skirt"}) {
+    const Topology coarse = garment(name);
+    const Subdivision middle = subdivide(coarse, 2), loop = subdivide(coarse, 2, SubdivisionRule::kLoop);
+    EXPECT_EQ(loop.fine.faces, middle.fine.faces);
+    EXPECT_EQ(loop.fine.uv, middle.fine.uv);
+    EXPECT_EQ(loop.fine.uv_faces, middle.fine.uv_faces);
+    EXPECT_EQ(loop.barycentric, middle.barycentric);
+    EXPECT_NO_THROW(validate_topology(loop.fine, name));
+    EXPECT_NE(topology_hash(loop.fine), topology_hash(middle.fine));
+  }
+}
+
+TEST(Subdivision, LoopsMasks) {
+  // A tetrahedron: every vertex has three neighbours, for which Loop's weight is 3/16.
+  Topology t;
+  t.rest_positions.resize(4, 3);
+  t.rest_positions << 0, 0, 0, 16, 0, 0, 0, 16, 0, 0, 0, 16;
+  t.faces.resize(4, 3);
+  t.faces << 0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3;
+  const Positions fine = subdivide(t, 1, SubdivisionRule::kLoop).fine.rest_positions;
+  ASSERT_EQ(fine.rows(), 10);
+  EXPECT_LT((fine.row(0) - Eigen::RowVector3f(3, 3, 3)).norm(), 1e-5f);
+  EXPECT_LT((fine.row(1) - Eigen::RowVector3f(7, 3, 3)).norm(), 1e-5f);
+  // The edge 0-2 is the first: 3/8 of its ends, 1/8 of the other two.
+  EXPECT_LT((fine.row(4) - Eigen::RowVector3f(2, 6, 2)).norm(), 1e-5f);
+}
+
+TEST(Subdivision, LoopSmoothsTheBoundaryAsACurveAndKeepsCorners) {
+  // A hexagonal plate whose centre is lifted: the boundary must not notice. It turns by 60 degrees: all corners. A
+  // plate with twelve corners turns by 30: none.
+  const auto plate = [](int corners) {
+    Topology t;
+    t.rest_positions.resize(corners + 1, 3);
+    t.faces.resize(corners, 3);
+    for (int i = 0; i < corners; ++i) {
+      const float angle = 6.2831853f * static_cast<float>(i) / static_cast<float>(corners);
+      t.rest_positions.row(i) << std::cos(angle), 0, std::sin(angle);
+      t.faces.row(i) << static_cast<std::uint32_t>(corners), static_cast<std::uint32_t>((i + 1) % corners),
+          static_cast<std::uint32_t>(i);
+    }
+    t.rest_positions.row(corners) << 0, 3, 0;
+    return t;
+  };
+  const Topology hexagon = plate(6);
+  const Positions fine = subdivide(hexagon, 1, SubdivisionRule::kLoop).fine.rest_positions;
+  EXPECT_EQ(fine.topRows(6), hexagon.rest_positions.topRows(6));
+  EXPECT_FLOAT_EQ(fine(6, 1), 3 * 0.625f);  // six neighbours: 1/16 each, here at height 0
+  const Topology round = plate(12);
+  const Positions smooth = subdivide(round, 1, SubdivisionRule::kLoop).fine.rest_positions;
+  for (int i = 0; i < 12; ++i) {
+    const Eigen::RowVector3f expected = 0.75f * round.rest_positions.row(i) +
+                                        0.125f * round.rest_positions.row((i + 1) % 12) +
+                                        0.125f * round.rest_positions.row((i + 11) % 12);
+    EXPECT_LT((smooth.row(i) - expected).norm(), 1e-6f);
+  }
+}
+
+TEST(Subdivision, LoopKeepsARegularFlatSheet) {
+  // Six equal neighbours everywhere inside, a straight boundary: every rule is the midpoint's.
+  Topology t;
+  const int n = 4;
+  t.rest_positions.resize((n + 1) * (n + 1), 3);
+  for (int j = 0; j <= n; ++j) {
+    for (int i = 0; i <= n; ++i) {
+      t.rest_positions.row(j * (n + 1) + i) << static_cast<float>(i), 0, static_cast<float>(j);
+    }
+  }
+  t.faces.resize(2 * n * n, 3);
+  for (int j = 0; j < n; ++j) {
+    for (int i = 0; i < n; ++i) {
+      const auto a = static_cast<std::uint32_t>(j * (n + 1) + i), below = a + static_cast<std::uint32_t>(n) + 1;
+      t.faces.row(2 * (j * n + i)) << a, below, a + 1;
+      t.faces.row(2 * (j * n + i) + 1) << a + 1, below, below + 1;
+    }
+  }
+  for (const int rounds : {1, 2}) {
+    const Positions loop = subdivide(t, rounds, SubdivisionRule::kLoop).fine.rest_positions;
+    EXPECT_LT((loop - subdivide(t, rounds).fine.rest_positions).cwiseAbs().maxCoeff(), 1e-5f);
   }
 }
 

@@ -73,23 +73,29 @@ inline Positions moved(const Positions& rest, std::uint64_t frame) {
 }
 
 inline std::vector<ObstacleShape> sample_obstacle_shapes() {
-  ObstacleShape sphere, mesh;
+  ObstacleShape sphere, mesh, capsules;
   sphere.name = "zz-sphere";  // not in alphabetical order: the order given must come back
   mesh.name = "box";
   mesh.faces.resize(2, 3);
   mesh.faces << 0, 1, 2, 0, 2, 3;
-  return {sphere, mesh};
+  capsules.name = "limbs";
+  capsules.capsules = 2;
+  return {sphere, mesh, capsules};
 }
 
 inline std::vector<ObstacleFrame> sample_obstacles(std::uint64_t frame) {
-  ObstacleFrame sphere, mesh;
+  ObstacleFrame sphere, mesh, capsules;
   sphere.name = "zz-sphere";
   sphere.center << 1, static_cast<float>(frame), 3;
   sphere.radius = 0.25f;
   mesh.name = "box";
   mesh.positions.resize(4, 3);
   mesh.positions.setConstant(static_cast<float>(frame));
-  return {sphere, mesh};
+  capsules.name = "limbs";
+  capsules.capsule_ends = Positions::Constant(4, 3, 1 + static_cast<float>(frame));
+  capsules.capsule_ends(2, 1) = -1;
+  capsules.capsule_radii = {0.1f, 0.2f + static_cast<float>(frame)};
+  return {sphere, mesh, capsules};
 }
 
 inline SequenceOptions sample_sequence(const MeshPair& meshes, const std::string& name, std::uint64_t frames) {
@@ -101,7 +107,7 @@ inline SequenceOptions sample_sequence(const MeshPair& meshes, const std::string
   options.coarse_vertices = meshes.coarse.vertex_count();
   options.fine_vertices = meshes.fine.vertex_count();
   options.obstacles = sample_obstacle_shapes();
-  options.obstacle_vertices = {0, 4};
+  options.obstacle_vertices = {0, 4, 0};
   options.topology_hash = topology_hash(meshes.fine);
   return options;
 }

@@ -54,7 +54,7 @@ TEST_F(Dataset, ReadsWhatWasWritten) {
     EXPECT_TRUE(info.finished);
     EXPECT_EQ(info.split, "train");
     EXPECT_EQ(info.scene, R"({"name":"sample"})");
-    ASSERT_EQ(info.obstacles.size(), 2u);
+    ASSERT_EQ(info.obstacles.size(), 3u);
     EXPECT_EQ(info.obstacles[0].name, "zz-sphere");
     EXPECT_EQ(info.obstacles[1].faces.rows(), 2);
     const auto coarse = reader.coarse(info.name, 1, 3);
@@ -69,6 +69,8 @@ TEST_F(Dataset, ReadsWhatWasWritten) {
       EXPECT_EQ(obstacles[k - 1][0].center, expected.obstacles[0].center);
       EXPECT_EQ(obstacles[k - 1][0].radius, expected.obstacles[0].radius);
       EXPECT_EQ(obstacles[k - 1][1].positions, expected.obstacles[1].positions);
+      EXPECT_EQ(obstacles[k - 1][2].capsule_ends, expected.obstacles[2].capsule_ends);
+      EXPECT_EQ(obstacles[k - 1][2].capsule_radii, expected.obstacles[2].capsule_radii);
     }
   }
 }

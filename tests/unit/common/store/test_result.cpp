@@ -19,7 +19,7 @@ class Result : public ::testing::Test {
     result.scene = "{}";
     result.has_fine = has_fine;
     result.obstacles = sample_obstacle_shapes();
-    result.obstacle_vertices = {0, 4};
+    result.obstacle_vertices = {0, 4, 0};
     result.stages = {"simulation", "superres"};
     result.counts = {"penetrations"};
     return result;
@@ -63,6 +63,9 @@ TEST_F(Result, ReadsWhatWasWritten) {
     EXPECT_EQ(reader.stage_ms("superres", 0, 4), (std::vector<float>{0, 1, 2, 3}));
     EXPECT_EQ(reader.counts("penetrations", 2, 4), (std::vector<std::uint32_t>{2, 3}));
     EXPECT_EQ(reader.obstacles(2, 3)[0][1].positions, frame(2).obstacles[1].positions);
+    EXPECT_EQ(reader.info().obstacles[2].capsules, 2u);
+    EXPECT_EQ(reader.obstacles(1, 3)[1][2].capsule_ends, frame(2).obstacles[2].capsule_ends);
+    EXPECT_EQ(reader.obstacles(1, 3)[1][2].capsule_radii, frame(2).obstacles[2].capsule_radii);
     EXPECT_EQ(code_of([&] { reader.enhanced(0, 5); }, path.string()), ErrorCode::kInvalidArgument);
     EXPECT_EQ(code_of([&] { reader.stage_ms("nothing", 0, 1); }, "nothing"), ErrorCode::kDataLoss);
   }
@@ -85,6 +88,7 @@ assert r.attrs['model'] == 'draping' and r.attrs['scene'] == '{}'
 assert r['coarse/positions'].shape == (3, 9, 3) and r['enhanced/positions'].shape == (3, 81, 3)
 assert 'fine' not in r and r['topology/fine/faces'].shape[1] == 3
 assert list(r['stages/superres/ms']) == [0, 1, 2] and list(r['counts/penetrations']) == [0, 1, 2]
+assert r['obstacles/limbs/capsule_ends'].shape == (3, 2, 2, 3) and r['obstacles/limbs/capsule_radii'].shape == (3, 2)
 assert r['obstacles/zz-sphere/radius'].shape == (3,) and r['time_s'].shape == (3,)
 )";
   const std::string command = "/usr/bin/python3 " + (folder.path() / "read.py").string() + " " + path.string();

@@ -5,10 +5,12 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/store/hdf5.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -47,6 +49,87 @@ class SceneFile : public testing::Test {
   fs::path folder_;
   json scene_;
 };
+
+void write_point_cache(const fs::path& path, std::int32_t points, const std::vector<float>& values) {
+  std::ofstream file(path, std::ios::binary);
+  const std::int32_t version = 1, samples = static_cast<std::int32_t>(values.size()) / (3 * points);
+  const float start = 0, rate = 1;
+  file.write("POINTCACHE2\0", 12);
+  for (const void* field :
+       {static_cast<const void*>(&version), static_cast<const void*>(&points), static_cast<const void*>(&start),
+        static_cast<const void*>(&rate), static_cast<const void*>(&samples)})
+    file.write(static_cast<const char*>(field), 4);
+  file.write(reinterpret_cast<const char*>(values.data()), static_cast<std::streamsize>(4 * values.size()));
+}
+
+TEST_F(SceneFile, InlinesAnimationsOfObstacles) {
+  std::vector<float> values(2 * 4 * 3);
+  for (std::size_t i = 0; i < values.size(); ++i) values[i] = static_cast<float>(i);
+  write_point_cache(folder_ / "body.pc2", 4, values);
+  {
+    const auto lock = hdf5::lock();
+    hdf5::File file = hdf5::File::create(folder_ / "body.h5");
+    file.write_array("/positions", H5T_NATIVE_FLOAT, {2, 4, 3}, values.data());
+    file.write_array("/limbs/ends", H5T_NATIVE_FLOAT, {4, 2, 3}, values.data());
+    values[17] = std::nanf("");
+    file.write_array("/broken", H5T_NATIVE_FLOAT, {2, 4, 3}, values.data());
+    values[17] = 17;
+    file.close();
+  }
+  const auto with = [&](const std::string& file) {
+    scene_["obstacles"] = json::array({{{"name", "body"}, {"mesh_file", "ball.obj"}, {"animation", {{"file", file}}}}});
+    return scene_;
+  };
+  for (const char* file : {"body.pc2", "body.h5", "body.h5:/positions"}) {
+    const v1::Scene scene = parse(with(file));
+    const auto& positions = scene.obstacles(0).animation().positions();
+    EXPECT_EQ(std::vector<float>(positions.begin(), positions.end()), values) << file;
+    EXPECT_TRUE(scene.obstacles(0).animation().file().empty());
+    EXPECT_THAT(scene_json(scene), testing::Not(testing::HasSubstr("positions")));
+  }
+  expect_error(with("none.pc2"), "obstacles[0].animation.file", ErrorCode::kNotFound);
+  expect_error(with("body.h5:/limbs/ends"), "has 2 points, the obstacle 4");
+  expect_error(with("body.h5:/broken"), "sample 1: vertex 1 is not finite");
+  expect_error(with("body.h5:/nothing"), "no such array");
+  expect_error(with("ball.obj"), "animations are read from");
+  with("body.h5");
+  scene_["obstacles"][0]["motion"] = json::array({{{"time_s", 1}}});
+  expect_error(scene_, "motion and animation");
+
+  json limbs = {{"name", "limbs"}, {"animation", {{"file", "body.h5:/limbs/ends"}}}};
+  limbs["capsules"]["capsules"] = json::array({{{"a", {0, 0, 0}}, {"b", {0, 1, 0}}, {"radius", 0.1}}});
+  scene_["obstacles"] = json::array({limbs});
+  EXPECT_EQ(parse(scene_).obstacles(0).animation().positions_size(), 24);
+}
+
+TEST_F(SceneFile, TakesAnIsotropicMaterialInPlaceOfAFile) {
+  scene_.erase("material_file");
+  scene_["isotropic"] = {{"density", 300}, {"youngsModulus", 1e6}, {"poissonsRatio", 0.3}, {"thickness", 5e-4}};
+  EXPECT_EQ(parse(scene_).isotropic().youngs_modulus(), 1e6);
+  const auto refused = [&](const char* key, double value, const std::string& part) {
+    json bad = scene_;
+    bad["isotropic"][key] = value;
+    expect_error(bad, part);
+  };
+  refused("density", -1, "isotropic.density must be positive");
+  refused("youngsModulus", 0, "isotropic.youngs_modulus must be positive");
+  refused("poissonsRatio", 0.6, "isotropic.poissons_ratio");
+  refused("thickness", 0, "isotropic.thickness must be positive");
+}
+
+TEST_F(SceneFile, ChecksCapsules) {
+  const auto with = [&](const json& capsule) {
+    json limbs = {{"name", "limbs"}};
+    limbs["capsules"]["capsules"] = json::array({capsule});
+    scene_["obstacles"] = json::array({limbs});
+    return scene_;
+  };
+  EXPECT_EQ(parse(with({{"a", {0, 0, 0}}, {"b", {0, 1, 0}}, {"radius", 0.1}})).obstacles(0).capsules().capsules_size(),
+            1);
+  expect_error(with({{"a", {0, 0, 0}}, {"radius", 0.1}}), "capsules[0].b");
+  expect_error(with({{"a", {0, 0}}, {"b", {0, 1, 0}}, {"radius", 0.1}}), "capsules[0].a");
+  expect_error(with({{"a", {0, 0, 0}}, {"b", {0, 1, 0}}, {"radius", 0}}), "capsules[0].radius");
+}
 
 TEST_F(SceneFile, InlinesGarmentMaterialAndObstacleMesh) {
   scene_["obstacles"] = json::array({{{"name", "ball"}, {"mesh_file", "ball.obj"}}});

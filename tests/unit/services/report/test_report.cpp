@@ -3,13 +3,17 @@
 #include <unistd.h>
 #include <zlib.h>
 
+#include <Eigen/Geometry>
 #include <cmath>
 #include <fstream>
 #include <limits>
+#include <map>
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/mesh/closest_points.hpp"
 #include "common/mesh/subdivision.hpp"
+#include "services/cli/report/capsule_surface.hpp"
 #include "services/cli/report/encode.hpp"
 #include "services/cli/report/report.hpp"
 
@@ -144,6 +148,42 @@ ReportInput make_input(bool reference) {
   input.summary.wall_s = 2;
   input.summary.frame_time_s = 0.04;
   return input;
+}
+
+TEST(CapsuleSurface, IsClosedOutwardAndOnTheCapsules) {
+  ObstacleFrame frame;
+  frame.capsule_ends.resize(4, 3);
+  frame.capsule_ends << 0, 0, 0, 0, 2, 1, 5, 1, 1, 5, 1, 1;  // the second is a ball
+  frame.capsule_radii = {0.5f, 0.25f};
+  const Positions x = capsule_surface(frame);
+  const Faces faces = capsule_surface_faces(2);
+  EXPECT_NO_THROW(validate_topology({x, faces, {}, {}}, "capsules"));
+  const auto vertices = x.rows() / 2;
+  for (Eigen::Index v = 0; v < x.rows(); ++v) {
+    const auto c = v / vertices;
+    const auto end = [&](Eigen::Index k) -> Eigen::Vector3d {
+      return frame.capsule_ends.row(2 * c + k).cast<double>().transpose();
+    };
+    const Eigen::Vector3d p = x.row(v).cast<double>().transpose();
+    const double t = closest_on_segment(p, end(0), end(1));
+    EXPECT_NEAR((p - end(0) - t * (end(1) - end(0))).norm(), static_cast<double>(frame.capsule_radii[c]), 1e-5);
+  }
+  double volume = 0;
+  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+    const Eigen::Vector3d a = x.row(faces(f, 0)).cast<double>(), b = x.row(faces(f, 1)).cast<double>(),
+                          c = x.row(faces(f, 2)).cast<double>();
+    volume += a.dot(b.cross(c)) / 6;
+  }
+  const double pi = 3.14159265358979;
+  const double exact = pi * 0.25 * std::sqrt(5.0) + 4 * pi / 3 * (0.125 + 0.015625);
+  EXPECT_LT(volume, exact);
+  EXPECT_GT(volume, 0.93 * exact);
+  // Closed: every edge has two faces.
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> edges;
+  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+    for (int k = 0; k < 3; ++k) ++edges[std::minmax(faces(f, k), faces(f, (k + 1) % 3))];
+  }
+  for (const auto& [edge, count] : edges) EXPECT_EQ(count, 2);
 }
 
 TEST(Base64, MatchesTheExamplesOfRfc4648) {

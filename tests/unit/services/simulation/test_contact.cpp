@@ -8,30 +8,13 @@
 #include "common/mesh/triangle_intersection.hpp"
 #include "services/simulation/simulation.hpp"
 #include "tests/unit/services/simulation/garments.hpp"
+#include "tests/unit/services/simulation/judge.hpp"
 
 namespace pleat::simulation {
 namespace {
 
 using Eigen::Vector3d;
 using testing::HasSubstr;
-
-// Brute force over all pairs of faces.
-int self_intersections(const Positions& x, const Faces& faces) {
-  int count = 0;
-  for (std::uint32_t f = 0; f < faces.rows(); ++f) {
-    Eigen::RowVector3f low = x.row(faces(f, 0)), high = low;
-    for (int k = 1; k < 3; ++k) low = low.cwiseMin(x.row(faces(f, k))), high = high.cwiseMax(x.row(faces(f, k)));
-    for (std::uint32_t g = f + 1; g < faces.rows(); ++g) {
-      bool apart = false;
-      for (int d = 0; d < 3 && !apart; ++d) {
-        const float a = x(faces(g, 0), d), b = x(faces(g, 1), d), c = x(faces(g, 2), d);
-        apart = std::min({a, b, c}) > high(d) || std::max({a, b, c}) < low(d);
-      }
-      if (!apart && faces_intersect(x, faces, f, g)) ++count;
-    }
-  }
-  return count;
-}
 
 double distance_to_cloth(const Vector3d& p, const Positions& x, const Faces& faces) {
   double best = 1e30;

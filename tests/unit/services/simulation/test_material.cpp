@@ -6,10 +6,13 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <numbers>
 
 #include "common/base/error.hpp"
+#include "services/simulation/dynamics.hpp"
+#include "tests/unit/services/simulation/garments.hpp"
 
 namespace pleat::simulation {
 namespace {
@@ -131,6 +134,101 @@ TEST(Bending, SamplesDirectionsAndSigns) {
   }
   const double between = std::tan(std::numbers::pi / 8);
   EXPECT_NEAR(bending_stiffness(m, 1, between, 0), (23.191698e-6 + 24.749964e-6) / 2, 1e-12);
+}
+
+// Constants of a sheet for which every part of the energy is well above rounding.
+constexpr IsotropicConstants kPlate{900, 2e6, 0.35, 2e-3};
+
+Dynamics dynamics_of(const Topology& mesh, const IsotropicConstants& constants) {
+  Scene scene = sheet_scene();
+  scene.garment = mesh;
+  scene.material = isotropic_material(constants, "plate");
+  return {mesh, scene};
+}
+
+// Energy of a sheet of 0.4 m x 0.4 m whose points are moved by a map.
+template <typename Map>
+double energy_of(const Dynamics& dynamics, const Topology& mesh, const Map& map) {
+  Points x;
+  for (Eigen::Index v = 0; v < mesh.vertex_count(); ++v) {
+    x.push_back(map(Eigen::Vector3d(mesh.rest_positions.row(v).cast<double>().transpose())));
+  }
+  return dynamics.internal_energy(x);
+}
+
+TEST(IsotropicMaterial, StretchesAndShearsAsAPlateInPlaneStress) {
+  const Topology mesh = sheet(6, 6, 0.4, 0.4);
+  const Dynamics dynamics = dynamics_of(mesh, kPlate);
+  const auto [density, young, ratio, thickness] = kPlate;
+  const double area = 0.16, strain = 1e-3;
+  const double stretched = energy_of(dynamics, mesh, [&](const Eigen::Vector3d& p) {
+    return Eigen::Vector3d(p.x() * (1 + strain), 0, p.z() * (1 - ratio * strain));
+  });
+  EXPECT_NEAR(stretched, young * thickness * strain * strain * area / 2, 0.005 * stretched);
+  const double sheared = energy_of(
+      dynamics, mesh, [&](const Eigen::Vector3d& p) { return Eigen::Vector3d(p.x() + strain * p.z(), 0, p.z()); });
+  EXPECT_NEAR(sheared, young / (2 * (1 + ratio)) * thickness * strain * strain * area / 2, 0.005 * sheared);
+  double mass = 0;
+  for (const double m : dynamics.masses()) mass += m;
+  EXPECT_NEAR(mass, density * thickness * area, 1e-6);
+}
+
+TEST(IsotropicMaterial, BendsAsAPlate) {
+  // Rolled up without stretching: plane strips of the width of a cell, each turned against the last.
+  const int cells = 20;
+  const Topology mesh = sheet(cells, 5, 0.4, 0.4);
+  const Dynamics dynamics = dynamics_of(mesh, kPlate);
+  const auto [density, young, ratio, thickness] = kPlate;
+  const double cell = 0.4 / cells, curvature = 2, turn = curvature * cell;
+  const double energy = energy_of(dynamics, mesh, [&](const Eigen::Vector3d& p) {
+    const int column = static_cast<int>(std::lround((p.x() + 0.2) / cell));
+    Eigen::Vector3d rolled(0, 0, p.z());
+    for (int i = 0; i < column; ++i) rolled += cell * Eigen::Vector3d(std::cos(i * turn), std::sin(i * turn), 0);
+    return rolled;
+  });
+  const double rigidity = young * std::pow(thickness, 3) / (12 * (1 - ratio * ratio));
+  // The outermost half cells are plane.
+  const double expected = rigidity * curvature * curvature / 2 * 0.16 * (cells - 1) / cells;
+  EXPECT_NEAR(energy, expected, 0.005 * expected);
+}
+
+TEST(IsotropicMaterial, ShippedFilesFollowTheFormula) {
+  const std::pair<const char*, IsotropicConstants> shipped[] = {{"light", {400, 6e5, 0.3, 2e-4}},
+                                                                {"medium", {375, 7.5e5, 0.3, 4e-4}},
+                                                                {"heavy", {500, 1e6, 0.3, 8e-4}},
+                                                                {"latex", {950, 1.2e6, 0.49, 4e-4}}};
+  for (const auto& [name, constants] : shipped) {
+    const Material file = read_material("deploy/materials/isotropic-" + std::string(name) + ".json");
+    const Material computed = isotropic_material(constants, name);
+    EXPECT_NEAR(file.density, computed.density, 1e-8 * computed.density) << name;
+    for (std::size_t r = 0; r < 6; ++r) {
+      for (std::size_t c = 0; c < 4; ++c) {
+        EXPECT_NEAR(file.stretching[r][c], computed.stretching[r][c], 1e-8 * computed.stretching[r][c]) << name;
+      }
+    }
+    for (std::size_t r = 0; r < 3; ++r) {
+      for (std::size_t c = 0; c < 5; ++c) {
+        EXPECT_NEAR(file.bending[r][c], computed.bending[r][c], 1e-8 * computed.bending[r][c]) << name;
+      }
+    }
+  }
+}
+
+TEST(IsotropicMaterial, RefusesBadConstants) {
+  const auto refused = [](IsotropicConstants constants, const std::string& key) {
+    try {
+      isotropic_material(constants, "sheet");
+      FAIL() << "accepted: " << key;
+    } catch (const Error& e) {
+      EXPECT_EQ(e.code(), ErrorCode::kInvalidArgument);
+      EXPECT_THAT(e.what(), testing::HasSubstr("sheet: " + key));
+    }
+  };
+  refused({-1, 1e6, 0.3, 1e-3}, "density");
+  refused({300, 0, 0.3, 1e-3}, "Young's modulus");
+  refused({300, 1e6, 0.51, 1e-3}, "Poisson's ratio");
+  refused({300, 1e6, std::nan(""), 1e-3}, "Poisson's ratio");
+  refused({300, 1e6, 0.3, std::numeric_limits<double>::infinity()}, "thickness");
 }
 
 }  // namespace

@@ -59,6 +59,10 @@ TEST(Scene, RefusesBadNumbers) {
   expect_refused([](Scene& s) { s.stretching_multiplier = 0; }, "stretching");
   expect_refused([](Scene& s) { s.bending_multiplier = -1; }, "bending");
   expect_refused([](Scene& s) { s.damping_s = -1; }, "damping");
+  expect_refused([](Scene& s) { s.strain_limits.minimum = 1.1; }, "strain limits");
+  expect_refused([](Scene& s) { s.strain_limits.minimum = -0.1; }, "strain limits");
+  expect_refused([](Scene& s) { s.strain_limits.maximum = 0.9; }, "strain limits");
+  expect_refused([](Scene& s) { s.strain_limits.maximum = kNaN; }, "strain limits");
   expect_refused([](Scene& s) { s.wind.density = -1; }, "wind");
   expect_refused([](Scene& s) { s.wind.velocity.x() = kNaN; }, "wind");
   expect_refused([](Scene& s) { s.contact.thickness = 0; }, "thickness");
@@ -67,6 +71,7 @@ TEST(Scene, RefusesBadNumbers) {
   expect_refused([](Scene& s) { s.tracking.spring = -1; }, "tracking");
   expect_refused([](Scene& s) { s.transform.scale = 0; }, "scale");
   expect_refused([](Scene& s) { s.threads = -1; }, "threads");
+  expect_refused([](Scene& s) { s.handle_stretch_warning = 0.5; }, "handle stretch warning");
 }
 
 TEST(Scene, RefusesBadGarments) {

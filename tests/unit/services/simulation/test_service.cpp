@@ -4,8 +4,11 @@
 #include <gtest/gtest.h>
 
 #include <chrono>
+#include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <functional>
+#include <nlohmann/json.hpp>
 #include <sstream>
 #include <thread>
 
@@ -209,6 +212,25 @@ TEST_F(ServiceTest, RefusesBadScenes) {
   expect_refused(with([](auto& o) { o.mutable_scene()->mutable_obstacles(0)->clear_shape(); }), kInvalid, "no shape");
   expect_refused(with([](auto& o) { o.mutable_scene()->mutable_obstacles(0)->mutable_sphere()->set_radius(0.4); }),
                  kInvalid, "ball");
+  // An animated obstacle: wrong sizes, and a NaN in the middle of its motion.
+  const auto animated = [&](int values, int nan_at) {
+    return with([&](auto& o) {
+      auto* animation = o.mutable_scene()->mutable_obstacles(0)->mutable_animation();
+      for (int i = 0; i < values; ++i) animation->add_positions(i == nan_at ? std::nanf("") : -5.0f);
+    });
+  };
+  expect_refused(animated(9, 7), kInvalid, "obstacle 'ball': sample 2 of the animation is not finite at point 0");
+  expect_refused(animated(8, -1), kInvalid, "scene.obstacles[0].animation.positions");
+  expect_refused(animated(0, -1), kInvalid, "scene.obstacles[0].animation.positions");
+  expect_refused(with([](auto& o) { o.mutable_scene()->mutable_obstacles(0)->mutable_animation()->set_file("a.pc2"); }),
+                 kInvalid, "animation.file");
+  expect_refused(with([](auto& o) { o.mutable_scene()->mutable_obstacles(0)->mutable_capsules(); }), kInvalid,
+                 "capsules");
+  expect_refused(with([](auto& o) {
+                   auto* capsule = o.mutable_scene()->mutable_obstacles(0)->mutable_capsules()->add_capsules();
+                   capsule->set_radius(1);
+                 }),
+                 kInvalid, "scene.obstacles[0].capsules.capsules[0]: both ends");
   expect_refused(with([](auto& o) { o.mutable_scene()->mutable_placement()->set_angle_deg(3); }), kInvalid, "axis");
   expect_refused(with([](auto& o) { o.set_window(1000); }), kInvalid, "window");
   expect_refused(with([](auto& o) {
@@ -227,6 +249,72 @@ TEST_F(ServiceTest, RefusesBadScenes) {
   expect_refused(no_open, kInvalid, "open");
 }
 
+TEST_F(ServiceTest, RefusesBadMaterialsAndServesOn) {
+  const auto material = [](const std::function<void(nlohmann::json&)>& spoil) {
+    auto json = nlohmann::json::parse(scene_message(3).material_json());
+    spoil(json);
+    v1::Scene scene = scene_message(3);
+    scene.set_material_json(json.dump());
+    return open_request(scene);
+  };
+  constexpr auto kInvalid = ErrorCode::kInvalidArgument;
+  expect_refused(material([](auto& m) { m.erase("bending"); }), kInvalid, "key 'bending' is missing");
+  expect_refused(material([](auto& m) { m["stretching"].erase(5); }), kInvalid, "stretching must have 6 rows");
+  expect_refused(material([](auto& m) { m["bending"][1].push_back(1); }), kInvalid, "bending row 1 must have 5");
+  expect_refused(material([](auto& m) { m["density"] = -0.2; }), kInvalid, "density must be positive");
+  expect_refused(material([](auto& m) { m["stretching"][2][1] = "stiff"; }), kInvalid, "is not a number");
+  const auto isotropic = [](double density, double young, double ratio, double thickness) {
+    v1::Scene scene = scene_message(3);
+    auto* m = scene.mutable_isotropic();
+    m->set_density(density);
+    m->set_youngs_modulus(young);
+    m->set_poissons_ratio(ratio);
+    m->set_thickness(thickness);
+    return open_request(scene);
+  };
+  expect_refused(isotropic(-300, 1e6, 0.3, 5e-4), kInvalid, "scene.isotropic: density");
+  expect_refused(isotropic(300, 1e6, 0.7, 5e-4), kInvalid, "scene.isotropic: Poisson's ratio");
+  expect_refused(isotropic(300, 1e6, 0.3, 0), kInvalid, "scene.isotropic: thickness");
+  const auto stream = start();
+  stream->open(isotropic(300, 1e6, 0.3, 5e-4));
+  v1::SimulateResponse response;
+  EXPECT_TRUE(stream->pop(&response));
+  stream->cancel();
+}
+
+TEST_F(ServiceTest, UntanglesAStartWhereAsked) {
+  v1::Scene scene = scene_message(2);
+  scene.mutable_obstacles(0)->mutable_sphere()->set_center(1, -0.06);
+  expect_refused(open_request(scene), ErrorCode::kInvalidArgument, "'ball'");
+  scene.set_untangle(true);
+  const auto stream = start();
+  stream->open(open_request(scene));
+  v1::SimulateResponse response;
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_EQ(response.frame().coarse().index(), 0u);
+  stream->cancel();
+}
+
+TEST_F(ServiceTest, SendsWarningsAndGoesOn) {
+  v1::Scene scene = scene_message(4);
+  scene.clear_obstacles();
+  scene.set_handle_stretch_warning(1.0001);  // any load is beyond it
+  const auto stream = start();
+  stream->open(open_request(scene));
+  v1::SimulateResponse response;
+  int warnings = 0;
+  for (std::uint64_t k = 0; k < 4; ++k) {
+    ASSERT_TRUE(stream->pop(&response));
+    warnings += response.frame().warnings_size();
+    if (response.frame().warnings_size() > 0) {
+      EXPECT_THAT(response.frame().warnings(0), HasSubstr("handle 0 stretches"));
+    }
+    acknowledge(*stream, k);
+  }
+  EXPECT_EQ(warnings, 1);
+  stream->close();
+}
+
 TEST(SceneMessages, FillInTheContractsDefaults) {
   const Scene scene = scene_from_message(scene_message(5));
   EXPECT_EQ(scene.frame_time_s, 0.04);
@@ -239,6 +327,42 @@ TEST(SceneMessages, FillInTheContractsDefaults) {
   EXPECT_EQ(scene.tracking.spring, 10);
   EXPECT_TRUE(scene.tracking.two_level);
   EXPECT_EQ(scene.subdivision_rounds, 2);
+  EXPECT_EQ(scene.subdivision_rule, SubdivisionRule::kMidpoint);
+  EXPECT_FALSE(scene.strain_limits.limits());
+  EXPECT_FALSE(scene.untangle);
+  EXPECT_EQ(scene.handle_stretch_warning, 2);
+}
+
+TEST(SceneMessages, BringTheOptions) {
+  v1::Scene message = scene_message(5);
+  message.mutable_material_options()->set_minimum_stretch(0.9);
+  message.mutable_material_options()->set_maximum_stretch(1.1);
+  message.set_untangle(true);
+  message.set_subdivision_rule(v1::SUBDIVISION_RULE_LOOP);
+  message.set_handle_stretch_warning(1.5);
+  const Scene scene = scene_from_message(message);
+  EXPECT_EQ(scene.strain_limits.minimum, 0.9);
+  EXPECT_EQ(scene.strain_limits.maximum, 1.1);
+  EXPECT_TRUE(scene.untangle);
+  EXPECT_EQ(scene.subdivision_rule, SubdivisionRule::kLoop);
+  EXPECT_EQ(scene.handle_stretch_warning, 1.5);
+}
+
+TEST(SceneMessages, BringCapsulesAndAnimations) {
+  v1::Scene message = scene_message(5);
+  auto* capsule = message.mutable_obstacles(0)->mutable_capsules()->add_capsules();
+  for (const double v : {0.0, -1.0, 0.0}) capsule->add_a(v);
+  for (const double v : {0.0, -2.0, 0.0}) capsule->add_b(v);
+  capsule->set_radius(0.25);
+  for (int i = 0; i < 12; ++i) message.mutable_obstacles(0)->mutable_animation()->add_positions(static_cast<float>(i));
+  const Scene scene = scene_from_message(message);
+  const Obstacle& obstacle = scene.obstacles.at(0);
+  EXPECT_EQ(obstacle.radius, 0);
+  ASSERT_EQ(obstacle.capsules.size(), 1u);
+  EXPECT_EQ(obstacle.capsules[0].b, Eigen::Vector3d(0, -2, 0));
+  ASSERT_EQ(obstacle.animation.samples.size(), 2u);
+  EXPECT_EQ(obstacle.animation.samples[1](1, 2), 11);
+  EXPECT_EQ(obstacle.animation.sample_time_s, 0.04);
 }
 
 TEST(SceneMessages, TurnDegreesIntoRotations) {

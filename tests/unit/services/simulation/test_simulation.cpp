@@ -6,6 +6,8 @@
 #include <cmath>
 
 #include "common/base/error.hpp"
+#include "common/mesh/obj.hpp"
+#include "services/simulation/strain_limits.hpp"
 #include "tests/unit/services/simulation/garments.hpp"
 
 namespace pleat::simulation {
@@ -249,6 +251,73 @@ TEST(Simulation, HandlesHoldMoveAndRelease) {
   }
   for (int k = 21; k <= 50; ++k) frame = simulation.next_frame();
   EXPECT_LT(frame.coarse.positions(0, 1), 0.0f);  // let go at 1 s, it falls
+}
+
+TEST(Simulation, WarnsOnceOfAHandleThatWouldTearTheCloth) {
+  const auto warnings = [](double limit, double pull_m) {
+    Scene scene = sheet_scene(4);
+    scene.gravity.setZero();
+    if (limit > 0) scene.handle_stretch_warning = limit;
+    scene.handles = {handle_on({0, 5, 10, 15, 20}), handle_on({4, 9, 14, 19, 24}, 0, 0.5)};
+    scene.handles[0].hard = scene.handles[1].hard = true;
+    scene.handles[1].name = "right";
+    scene.handles[1].motion.keys = {{0, {0, 0, 0}, {0, 0, 0}}, {0.4, {pull_m, 0, 0}, {0, 0, 0}}};
+    Simulation simulation(scene, Mode::kCoarse);
+    std::vector<std::string> all;
+    for (int k = 0; k < 20; ++k) {
+      const SimulatedFrame frame = simulation.next_frame();
+      all.insert(all.end(), frame.warnings.begin(), frame.warnings.end());
+    }
+    return all;
+  };
+  EXPECT_TRUE(warnings(1.3, 0.1).empty());  // 1.2 times its length
+  EXPECT_TRUE(warnings(0, 0.3).empty());    // the default allows twice
+  const auto torn = warnings(1.3, 0.3);
+  ASSERT_EQ(torn.size(), 1u);
+  EXPECT_THAT(torn[0], HasSubstr("stretches the cloth to 1."));
+  EXPECT_THAT(torn[0], HasSubstr("beyond 1.3"));
+  EXPECT_THAT(torn[0], HasSubstr("handle"));
+  EXPECT_THAT(warnings(0, 0.8).at(0), HasSubstr("beyond 2"));
+}
+
+TEST(Simulation, FreeFineClothMayStartFromLoopsSurface) {
+  Scene scene = sheet_scene(4);
+  // A ridge: Loop's rule rounds it, so that the fine mesh starts below its top.
+  for (Eigen::Index v = 0; v < scene.garment.vertex_count(); ++v) {
+    if (v % 5 == 2) scene.garment.rest_positions(v, 1) = 0.05f;
+  }
+  scene.subdivision_rule = SubdivisionRule::kLoop;
+  Simulation simulation(scene, Mode::kFreeFine);
+  const SimulatedFrame frame = simulation.next_frame();
+  EXPECT_LT((frame.fine->positions - simulation.fine().rest_positions).cwiseAbs().maxCoeff(), 1e-6f);
+  EXPECT_LT(frame.fine->positions.col(1).maxCoeff(), 0.045f);
+  EXPECT_EQ(simulation.fine().uv, subdivide(scene.garment, 2).fine.uv);
+  for (int k = 0; k < 3; ++k) EXPECT_TRUE(simulation.next_frame().fine->positions.allFinite());
+  try {
+    Simulation(scene, Mode::kTrackedFine);
+    FAIL() << "a tracked simulation from another surface";
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kInvalidArgument);
+    EXPECT_THAT(e.what(), HasSubstr("Loop"));
+  }
+}
+
+TEST(Simulation, LoopsSurfaceStartsUnstretched) {
+  // An irregular flat mesh, in which Loop's rule slides vertices, and a curved one.
+  for (const char* name : {"deploy/garments/tablecloth.obj", "deploy/garments/skirt.obj"}) {
+    Scene scene = sheet_scene();
+    scene.garment = read_obj(name);
+    scene.subdivision_rule = SubdivisionRule::kLoop;
+    const Simulation simulation(scene, Mode::kFreeFine);
+    const Topology& fine = simulation.fine();
+    for (Eigen::Index f = 0; f < fine.face_count(); ++f) {
+      Eigen::Matrix3d corners;
+      for (int k = 0; k < 3; ++k) corners.col(k) = fine.rest_positions.row(fine.faces(f, k)).cast<double>().transpose();
+      const auto stretch = principal_stretches(shape_gradients(fine, f), corners).stretch;
+      ASSERT_LT(stretch[0], 1.01) << name << " face " << f;
+      ASSERT_GT(stretch[1], 0.99) << name << " face " << f;
+    }
+  }
 }
 
 TEST(Simulation, SoftHandlesSagByLoadOverStiffness) {
