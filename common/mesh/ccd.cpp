@@ -33,13 +33,14 @@ std::optional<Collision> additive_ccd(Quad x, const Quad& end, const CcdOptions&
     if (bound == 0) return std::nullopt;
     return Collision{0, points};
   }
-  if (clearance > bound) return std::nullopt;
-
+  // The gap counts at the end of the motion too: rounding there must neither hide a touch nor, later, make one.
   const double gap = std::min(options.gap, 0.1 * clearance);
+  if (clearance - gap > bound) return std::nullopt;
+
   double time = 0;
   for (int i = 0; i < options.max_iterations; ++i) {
-    const double step = 0.9 * clearance / bound;
-    if (time + clearance / bound > 1) return std::nullopt;
+    if (time + (clearance - gap) / bound > 1) return std::nullopt;
+    const double step = std::min(0.9 * clearance / bound, 1 - time);
     time += step;
     for (std::size_t k = 0; k < 4; ++k) x[k] += step * motion[k];
     points = closest(x);
