@@ -15,6 +15,7 @@ using Eigen::Vector3d;
 
 // Metres. A pair that comes closer than kGap has collided; impacts leave it at 5 kGap to a tenth of the thickness.
 constexpr double kGap = 2e-5;
+constexpr double kLeastClearance = 5e-6;
 constexpr int kProjectionRounds = 24;
 constexpr int kRigidRounds = 40;
 
@@ -481,7 +482,11 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
       double time = 1;
       for (const Pair& pair : pairs_) {
         const auto collision = collide(pair, start, end);
-        if (collision) time = std::min(time, collision->time);
+        if (!collision) continue;
+        time = std::min(time, collision->time);
+        // Step after step of this would bring a pair as near as one likes, and float32 frames can't tell it from zero.
+        const double clearance = std::sqrt(closest(pair, start).squared_distance) - static_cast<double>(pair.minimum);
+        if (clearance < kLeastClearance) time = 0;
       }
       for (std::size_t i = 0; i < end.size(); ++i) end[i] = start[i] + 0.8 * time * (end[i] - start[i]);
       result.cut = true;

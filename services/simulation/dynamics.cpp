@@ -541,7 +541,30 @@ int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
       for (std::size_t i = begin; i < end; ++i) direction_[i] = preconditioned_[i] + beta * direction_[i];
     });
   }
+  correct_translation(step);
   return iteration;
+}
+
+// What the iterations leave over must not change the momentum: the best common velocity for all vertices, which alone
+// solves the sum of all rows. Elastic forces and contacts of cloth with cloth drop out of it.
+void Dynamics::correct_translation(const Step& step) {
+  if (std::any_of(fixed_.begin(), fixed_.end(), [](char fixed) { return fixed != 0; })) return;
+  const double h = step.length_s;
+  Eigen::Matrix3d sum = Eigen::Matrix3d::Identity() * std::accumulate(masses_.begin(), masses_.end(), 0.0);
+  for (const Pin& pin : step.pins) sum.diagonal().array() += h * h * pin.stiffness;
+  for (const ContactForce& contact : contacts_) {
+    float weight = 0;
+    for (std::size_t k = 0; k < 4; ++k) weight += contact.vertices[k] == kNone ? 0 : contact.weights[k];
+    const Eigen::Matrix3d nn = (contact.normal * contact.normal.transpose()).cast<double>();
+    sum += static_cast<double>(weight * weight) *
+           (h * h * static_cast<double>(contact.stiffness) * nn +
+            h * static_cast<double>(contact.friction) * (Eigen::Matrix3d::Identity() - nn));
+  }
+  Double4 residual{};
+  for (const Float4& r : residual_) residual += __builtin_convertvector(r, Double4);
+  const Vector3d velocity = sum.inverse() * Vector3d(residual[0], residual[1], residual[2]);
+  if (!velocity.allFinite()) return;
+  for (Float4& change : change_) change += to_float4(velocity);
 }
 
 int Dynamics::solve(const Points& positions, Points& velocities, const Step& step, ThreadPool& pool) {

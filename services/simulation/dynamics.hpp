@@ -101,6 +101,7 @@ class Dynamics {
   void build_pattern();
   void assemble(const Points& positions, const Points& velocities, const Step& step, ThreadPool& pool);
   int conjugate_gradients(const Step& step, ThreadPool& pool);
+  void correct_translation(const Step& step);
 
   std::uint32_t face_slot(std::size_t face) const;
 
