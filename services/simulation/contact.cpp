@@ -15,6 +15,8 @@ using Eigen::Vector3d;
 
 // Metres. A pair that comes closer than kGap has collided; impacts leave it at 5 kGap to a tenth of the thickness.
 constexpr double kGap = 2e-5;
+// Metres. Cut steps stop pairs here: well above the rounding of a frame's float32.
+constexpr double kFloor = 2e-6;
 constexpr int kProjectionRounds = 24;
 constexpr int kRigidRounds = 40;
 
@@ -480,7 +482,11 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
       // The last resort can't fail: everything, obstacles included, stops before the first collision.
       double time = 1;
       for (const Pair& pair : pairs_) {
-        const auto collision = collide(pair, start, end);
+        // Cut after cut must not wear the clearance down: a pair at the floor may part, but not come closer.
+        Pair guarded = pair;
+        const double before = std::sqrt(closest(pair, start).squared_distance) - static_cast<double>(pair.minimum);
+        guarded.minimum += static_cast<float>(std::min(kFloor, 0.999 * before));
+        const auto collision = collide(guarded, start, end);
         if (collision) time = std::min(time, collision->time);
       }
       for (std::size_t i = 0; i < end.size(); ++i) end[i] = start[i] + 0.8 * time * (end[i] - start[i]);
