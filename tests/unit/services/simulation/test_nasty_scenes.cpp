@@ -223,6 +223,19 @@ TEST(NastyScene, PinchedBetweenAnArmAndABody) {
   EXPECT_GT(outcome.contacts, 500u);
 }
 
+TEST(NastyScene, HandleIsLedIntoAnObstacle) {
+  // A hard handle takes the middle of the sheet down into a box and up again. Neither yields: the steps are cut.
+  Scene scene = sheet_scene(8);
+  Handle middle = handle_on({40});
+  middle.hard = true;
+  middle.motion.keys = {{0, {0, 0, 0}, {0, 0, 0}}, {0.3, {0.01, -0.08, 0}, {0, 0, 0}}, {0.5, {0, 0.02, 0}, {0, 0, 0}}};
+  scene.handles.push_back(middle);
+  scene.obstacles.push_back(box("box", {0.2, 0.1, 0.2}, {0.01, -0.1, 0.02}));
+  const Outcome outcome = run(scene, 20, 6);
+  EXPECT_GT(outcome.cut_steps, 0u);
+  EXPECT_GT(outcome.last(40, 1), -0.01f);  // the handle goes on once its script allows it
+}
+
 TEST(NastyScene, SheetFallsEdgeOnOntoTheCornerOfABox) {
   // The corner points straight up, and the sheet's lower edge comes down on it in the plane of the sheet.
   Scene scene = sheet_scene(10);
