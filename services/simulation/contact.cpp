@@ -15,7 +15,8 @@ using Eigen::Vector3d;
 
 // Metres. A pair that comes closer than kGap has collided; impacts leave it at 5 kGap to a tenth of the thickness.
 constexpr double kGap = 2e-5;
-constexpr double kLeastClearance = 5e-6;
+// Metres. Cut steps stop pairs here: well above the rounding of a frame's float32.
+constexpr double kFloor = 2e-6;
 constexpr int kProjectionRounds = 24;
 constexpr int kRigidRounds = 40;
 
@@ -433,7 +434,8 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
   std::vector<Impact> impacts;
   std::map<std::pair<Kind, std::array<std::uint32_t, 4>>, std::size_t> impact_of;
   std::vector<char> changed(particle_count_, 1);
-  bool all_rigid = true;
+  bool solvable = true;
+  const Points wanted = end;
 
   constexpr std::size_t kGrain = 1024;
   std::vector<std::vector<Impact>> found;
@@ -469,24 +471,30 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
           // Its push so far stays in `end`; the new constraint starts from there.
           impacts[known->second] = impact;
         }
+        // A handle that is led into an obstacle: neither yields.
+        solvable = solvable && std::any_of(impact.pair.v.begin(), impact.pair.v.end(),
+                                           [&](std::uint32_t v) { return inverse_mass(inverse_masses, v) > 0; });
       }
     }
     const Points before = end;
     if (round < kProjectionRounds) {
       project(impacts, inverse_masses, end);
     } else if (round < kProjectionRounds + kRigidRounds) {
-      all_rigid = move_rigidly(impacts, inverse_masses, start, end, result.rigid_zones);
+      solvable = solvable && move_rigidly(impacts, inverse_masses, start, end, result.rigid_zones);
     }
-    if (!all_rigid || round >= kProjectionRounds + kRigidRounds) {
-      // The last resort can't fail: everything, obstacles included, stops before the first collision.
+    if (!solvable || round >= kProjectionRounds + kRigidRounds) {
+      // The last resort can't fail: everything, obstacles included, stops before the first collision of the motion
+      // that was wanted. What the rounds have made of it may be far out.
+      end = wanted;
+      find_pairs(start, end, pool);
       double time = 1;
       for (const Pair& pair : pairs_) {
-        const auto collision = collide(pair, start, end);
-        if (!collision) continue;
-        time = std::min(time, collision->time);
-        // Step after step of this would bring a pair as near as one likes, and float32 frames can't tell it from zero.
+        // Cut after cut must not wear the clearance down: a pair at the floor may part, but not come closer.
+        Pair guarded = pair;
         const double clearance = std::sqrt(closest(pair, start).squared_distance) - static_cast<double>(pair.minimum);
-        if (clearance < kLeastClearance) time = 0;
+        guarded.minimum += static_cast<float>(std::min(kFloor, 0.999 * clearance));
+        const auto collision = collide(guarded, start, end);
+        if (collision) time = std::min(time, collision->time);
       }
       for (std::size_t i = 0; i < end.size(); ++i) end[i] = start[i] + 0.8 * time * (end[i] - start[i]);
       result.cut = true;
@@ -496,6 +504,12 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
     for (std::size_t i = 0; i < end.size(); ++i) {
       changed[i] = end[i] != before[i];
       far = far || (end[i] - pairs_end_[i]).squaredNorm() > slack_ * slack_;
+    }
+    // What collided is looked at again even if nothing could move it: a handle that is led into an obstacle.
+    for (const auto& list : found) {
+      for (const Impact& impact : list) {
+        for (const std::uint32_t v : impact.pair.v) changed[v] = 1;
+      }
     }
     if (far) find_pairs(start, end, pool);
   }

@@ -180,6 +180,62 @@ TEST(NastyScene, HandlePullsTheClothThroughItself) {
   EXPECT_GT(outcome.contacts, 100u);
 }
 
+TEST(NastyScene, PinchedBetweenTwoBoxes) {
+  // The jaws close to 4 mm, less than twice the repulsion layer, rub past each other, and then to nothing: they must
+  // wait there for the cloth between them. At last they open.
+  Scene scene = sheet_scene(10);
+  scene.perturbation_m = 1e-3;
+  scene.obstacles.push_back(box("upper", {0.2, 0.1, 0.15}, {0, 0.08, 0}));
+  scene.obstacles.push_back(box("lower", {0.16, 0.1, 0.2}, {0, -0.08, 0.01}));
+  const double closed = 0.028;
+  scene.obstacles[0].motion.keys = {{0, {0, 0, 0}, {0, 0, 0}},
+                                    {0.2, {0, -closed, 0}, {0, 0, 0}},
+                                    {0.5, {0.05, -closed, 0.02}, {0, 0.3, 0}},
+                                    {0.6, {0.05, -closed - 0.01, 0.02}, {0, 0.3, 0}},
+                                    {0.8, {0.05, 0, 0.02}, {0, 0.3, 0}}};
+  scene.obstacles[1].motion.keys = {{0, {0, 0, 0}, {0, 0, 0}},
+                                    {0.2, {0, closed, 0}, {0, 0, 0}},
+                                    {0.5, {-0.05, closed, -0.02}, {0, -0.3, 0}},
+                                    {0.6, {-0.05, closed + 0.01, -0.02}, {0, -0.3, 0}},
+                                    {0.8, {-0.05, 0, -0.02}, {0, -0.3, 0}}};
+  const Outcome outcome = run(scene, 26, 8);
+  EXPECT_GT(outcome.contacts, 500u);
+}
+
+TEST(NastyScene, PinchedBetweenAnArmAndABody) {
+  // Two capsules, as an armpit: the arm closes on the body with the cloth between them, and opens again.
+  Scene scene = sheet_scene(10);
+  scene.transform.rotation = {0, 0, std::numbers::pi / 2};  // hangs in the plane x = 0
+  Handle top;
+  for (std::uint32_t j = 0; j <= 10; ++j) top.vertices.push_back(j * 11 + 10);
+  scene.handles.push_back(top);
+  Obstacle body, arm;
+  body.name = "body";
+  body.capsules = {{{-0.12, -0.5, 0}, {-0.12, 0.2, 0}, 0.1}};
+  arm.name = "arm";
+  arm.capsules = {{{0.09, 0.1, -0.02}, {0.22, -0.3, 0.02}, 0.04}, {{0.22, -0.3, 0.02}, {0.3, -0.5, 0.1}, 0.035}};
+  arm.motion.keys = {{0, {0, 0, 0}, {0, 0, 0}},
+                     {0.4, {-0.024, 0, 0}, {0, 0, 0.12}},
+                     {0.6, {-0.031, 0, 0.03}, {0, 0.1, 0.12}},
+                     {0.9, {0, 0, 0}, {0, 0, 0}}};
+  scene.obstacles = {body, arm};
+  const Outcome outcome = run(scene, 26, 8);
+  EXPECT_GT(outcome.contacts, 500u);
+}
+
+TEST(NastyScene, HandleIsLedIntoAnObstacle) {
+  // A hard handle takes the middle of the sheet down into a box and up again. Neither yields: the steps are cut.
+  Scene scene = sheet_scene(8);
+  Handle middle = handle_on({40});
+  middle.hard = true;
+  middle.motion.keys = {{0, {0, 0, 0}, {0, 0, 0}}, {0.3, {0.01, -0.08, 0}, {0, 0, 0}}, {0.5, {0, 0.02, 0}, {0, 0, 0}}};
+  scene.handles.push_back(middle);
+  scene.obstacles.push_back(box("box", {0.2, 0.1, 0.2}, {0.01, -0.1, 0.02}));
+  const Outcome outcome = run(scene, 20, 6);
+  EXPECT_GT(outcome.cut_steps, 0u);
+  EXPECT_GT(outcome.last(40, 1), -0.01f);  // the handle goes on once its script allows it
+}
+
 TEST(NastyScene, SheetFallsEdgeOnOntoTheCornerOfABox) {
   // The corner points straight up, and the sheet's lower edge comes down on it in the plane of the sheet.
   Scene scene = sheet_scene(10);
