@@ -1,0 +1,161 @@
+// bench_lean_rival: the leanest direct simulation of the fine sheet against Pleat's coarse and tracked simulation of
+// the same scene, in one run. A measurement, not a test.
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "services/cli/machine.hpp"
+#include "services/cli/median.hpp"
+#include "services/cli/scene_file.hpp"
+#include "services/refinement/judge.hpp"
+#include "services/simulation/scene_messages.hpp"
+#include "services/simulation/simulation.hpp"
+#include "tests/bench/rivals/lean_cloth.hpp"
+
+namespace {
+
+using nlohmann::json;
+using pleat::Positions;
+using pleat::simulation::Mode;
+using pleat::simulation::Scene;
+using pleat::simulation::SimulatedFrame;
+using pleat::simulation::Simulation;
+using Clock = std::chrono::steady_clock;
+
+double milliseconds_since(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
+
+struct Run {
+  std::vector<double> frame_ms;
+  std::size_t intersections = 0, dirty_frames = 0;
+  Positions last;
+
+  void judge(const Positions& positions, const pleat::Faces& faces) {
+    const std::size_t found = pleat::count_self_intersections(positions, faces);
+    intersections += found;
+    dirty_frames += found > 0 ? 1 : 0;
+    last = positions;
+  }
+};
+
+Run run_lean(const Scene& scene, const pleat::Topology& fine, const Positions& start,
+             const pleat::bench::LeanOptions& options, int frames) {
+  pleat::bench::LeanCloth cloth(scene, fine, start, options);
+  Run run;
+  for (int k = 0; k < frames; ++k) {
+    const auto begin = Clock::now();
+    cloth.frame();
+    run.frame_ms.push_back(milliseconds_since(begin));
+    run.judge(cloth.positions(), fine.faces);
+  }
+  return run;
+}
+
+Run run_engine(Scene scene, Mode mode, int frames) {
+  scene.frames = frames + 1;
+  Simulation simulation(std::move(scene), mode);
+  const pleat::Faces faces = mode == Mode::kCoarse ? simulation.coarse().faces : simulation.fine().faces;
+  Run run;
+  simulation.next_frame();
+  for (int k = 0; k < frames; ++k) {
+    const auto begin = Clock::now();
+    const SimulatedFrame frame = simulation.next_frame();
+    run.frame_ms.push_back(milliseconds_since(begin));
+    run.judge(frame.fine ? frame.fine->positions : frame.coarse.positions, faces);
+  }
+  return run;
+}
+
+int measure(const std::string& scene_file, pleat::bench::LeanOptions options, int frames,
+            const std::string& json_file) {
+  Scene scene = pleat::simulation::scene_from_message(pleat::cli::read_scene_file(scene_file));
+  scene.threads = static_cast<int>(options.threads);
+  scene.frames = 1;
+  Simulation simulation(scene, Mode::kTrackedFine);
+  const pleat::Topology fine = simulation.fine();
+  const Positions start = simulation.next_frame().fine->positions;
+
+  struct Row {
+    const char *name, *figure;
+    Run run;
+  };
+  const double radius = options.radius_m;
+  std::vector<Row> rows;
+  rows.push_back({"lean XPBD, fine, with self-collision", "lean_frame", run_lean(scene, fine, start, options, frames)});
+  options.radius_m = 0;
+  rows.push_back(
+      {"lean XPBD, fine, without", "lean_frame_without_collision", run_lean(scene, fine, start, options, frames)});
+  rows.push_back({"Pleat, coarse", "coarse_frame", run_engine(scene, Mode::kCoarse, frames)});
+  rows.push_back({"Pleat, coarse and tracked fine", "tracked_frame", run_engine(scene, Mode::kTrackedFine, frames)});
+
+  std::printf(
+      "%s: %ld and %ld vertices, %d frames of %g ms, %zu thread(s); lean: %d sub-steps, particles %.1f mm apart\n",
+      scene_file.c_str(), static_cast<long>(simulation.coarse().vertex_count()), static_cast<long>(fine.vertex_count()),
+      frames, 1e3 * scene.frame_time_s, options.threads, options.substeps, 1e3 * radius);
+  std::printf("%-38s %10s %10s %12s %14s %12s\n", "", "median ms", "p95 ms", "lean / it", "intersections",
+              "dirty frames");
+  const double lean = pleat::cli::median(rows[0].run.frame_ms);
+  json figures;
+  for (const Row& row : rows) {
+    const double ms = pleat::cli::median(row.run.frame_ms);
+    std::printf("%-38s %10.2f %10.2f %12.2f %14zu %12zu\n", row.name, ms, pleat::cli::quantile(row.run.frame_ms, 0.95),
+                lean / ms, row.run.intersections, row.run.dirty_frames);
+    figures[row.figure] = {{"median", ms}, {"runs", row.run.frame_ms.size()}, {"unit", "ms"}};
+    figures[std::string(row.figure) + "_self_intersections"] = {
+        {"median", row.run.intersections}, {"runs", row.run.frame_ms.size()}, {"unit", "pairs of faces, all frames"}};
+  }
+  for (std::size_t k = 2; k < rows.size(); ++k) {
+    figures[std::string("lean_over_") + rows[k].figure] = {{"median", lean / pleat::cli::median(rows[k].run.frame_ms)},
+                                                           {"runs", rows[k].run.frame_ms.size()},
+                                                           {"unit", "1"}};
+  }
+  if (!json_file.empty()) {
+    std::ofstream(json_file) << json{{"lean_rival", figures},
+                                     {"machine", pleat::cli::machine_info()},
+                                     {"git_revision", pleat::cli::git_revision()}}
+                                    .dump(2)
+                             << "\n";
+  }
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("A lean XPBD of the fine sheet against Pleat's coarse and tracked simulation; medians of the frames.");
+  std::string scene = "deploy/scenes/draping.json", json_file;
+  pleat::bench::LeanOptions options;
+  double radius_mm = 9;
+  int frames = 50;
+  app.add_option("scene", scene, "scene file")->capture_default_str();
+  app.add_option("--frames", frames, "frames")->check(CLI::PositiveNumber)->capture_default_str();
+  app.add_option("--substeps", options.substeps, "of the lean rival, a frame")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--detections", options.detections, "searches for close particles a frame; divides the sub-steps")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--radius-mm", radius_mm, "distance that particles keep")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--threads", options.threads, "1 or 2")->check(CLI::Range(1, 2))->capture_default_str();
+  app.add_option("--json", json_file, "writes the figures to this file");
+  CLI11_PARSE(app, argc, argv);
+  options.radius_m = 1e-3 * radius_mm;
+  if (options.substeps % options.detections != 0) {
+    std::fprintf(stderr, "bench_lean_rival: --detections must divide --substeps\n");
+    return 2;
+  }
+  try {
+    return measure(scene, options, frames, json_file);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "bench_lean_rival: %s\n", error.what());
+    return 1;
+  }
+}
