@@ -24,10 +24,11 @@ struct ThreadPool::State {
   std::condition_variable start;
   std::condition_variable done;
   std::uint64_t generation = 0;
-  std::size_t running = 0;
+  std::size_t running = 0;  // workers inside the loop in progress
   bool stop = false;
 
-  // The loop in progress.
+  // The loop in progress; null when it has ended. A worker that wakes up too late finds nothing to do, and nobody waits
+  // for it: on a busy machine that could take longer than the loop.
   const std::function<void(std::size_t, std::size_t)>* body = nullptr;
   std::size_t count = 0;
   std::size_t grain = 1;
@@ -59,6 +60,8 @@ ThreadPool::ThreadPool(std::size_t threads) : state_(std::make_unique<State>()) 
         state->start.wait(lock, [&] { return state->stop || state->generation != seen; });
         if (state->stop) return;
         seen = state->generation;
+        if (state->body == nullptr) continue;
+        ++state->running;
         lock.unlock();
         state->work();
         lock.lock();
@@ -94,13 +97,13 @@ void ThreadPool::parallel_for(std::size_t count, std::size_t grain,
     state_->grain = grain;
     state_->next.store(0);
     state_->error = nullptr;
-    state_->running = state_->workers.size();
     ++state_->generation;
   }
   state_->start.notify_all();
   state_->work();
   std::unique_lock lock(state_->mutex);
   state_->done.wait(lock, [&] { return state_->running == 0; });
+  state_->body = nullptr;
   if (state_->error) std::rethrow_exception(std::exchange(state_->error, nullptr));
 }
 

@@ -64,6 +64,30 @@ void Bvh::refit(std::span<const Box> boxes) {
   }
 }
 
+std::vector<Bvh::Pair> Bvh::self_pair_parts(int levels) const {
+  if (empty()) return {};
+  std::vector<Pair> parts{{0, 0}};
+  for (int level = 0; level < levels; ++level) {
+    std::vector<Pair> next;
+    for (const auto& [p, q] : parts) {
+      const bool leaf_p = nodes_[p].element != kInner, leaf_q = nodes_[q].element != kInner;
+      if (p == q && !leaf_p) {
+        next.push_back({p + 1, p + 1});
+        next.push_back({p + 1, nodes_[p].right});
+        next.push_back({nodes_[p].right, nodes_[p].right});
+      } else if (p != q && !leaf_p && !leaf_q) {
+        for (const std::uint32_t a : {p + 1, nodes_[p].right}) {
+          for (const std::uint32_t b : {q + 1, nodes_[q].right}) next.push_back({a, b});
+        }
+      } else if (p != q) {
+        next.push_back({p, q});
+      }
+    }
+    parts = std::move(next);
+  }
+  return parts;
+}
+
 // Pairs below two nodes; the same node twice means pairs inside it.
 void Bvh::collide(std::uint32_t a, std::uint32_t b, std::size_t limit, std::vector<Pair>& out) const {
   std::vector<Pair> stack;

@@ -53,6 +53,17 @@ struct alignas(16) Box {
   }
 };
 
+/// The square of the distance of p to the box; 0 inside.
+inline double squared_distance(const Box& box, const Eigen::Vector3d& p) {
+  double sum = 0;
+  for (int k = 0; k < 3; ++k) {
+    const double below = static_cast<double>(box.lower[k]) - p[k], above = p[k] - static_cast<double>(box.upper[k]);
+    const double outside = std::max(std::max(below, above), 0.0);
+    sum += outside * outside;
+  }
+  return sum;
+}
+
 /// Hierarchy over elements (usually faces) given by their boxes. Results do not depend on the number of threads.
 class Bvh {
  public:
@@ -78,8 +89,16 @@ class Bvh {
   /// mesh that has collapsed into one place can't exhaust it. Returns whether all pairs were visited.
   template <typename Visit>
   bool visit_self_pairs(const Visit& visit) const {
-    if (empty()) return true;
-    std::vector<Pair> stack{{0, 0}};
+    std::vector<Pair> stack;
+    return empty() || visit_self_pairs({0, 0}, stack, visit);
+  }
+
+  /// visit_self_pairs in parts, for several threads: the parts depend on the tree alone, not on its boxes, and together
+  /// give every pair once. stack: memory to reuse, one per thread.
+  std::vector<Pair> self_pair_parts(int levels) const;
+  template <typename Visit>
+  bool visit_self_pairs(Pair part, std::vector<Pair>& stack, const Visit& visit) const {
+    stack.assign(1, part);
     while (!stack.empty()) {
       const auto [p, q] = stack.back();
       stack.pop_back();
@@ -114,6 +133,31 @@ class Bvh {
 
   /// All pairs (i of this, j of other) whose boxes overlap.
   std::vector<Pair> pairs(const Bvh& other) const;
+
+  /// Calls visit(element) for every element whose box is nearer to p than the root of `bound`, near boxes first. visit
+  /// returns the new bound, a squared distance that never grows. Boxes whose distance equals the bound within rounding
+  /// are visited, so that among equally near elements the choice is the caller's.
+  template <typename Visit>
+  void nearest(const Eigen::Vector3d& p, double bound, const Visit& visit) const {
+    if (empty()) return;
+    constexpr double kSlack = 1 + 1e-12;
+    std::pair<std::uint32_t, double> stack[64];
+    int size = 0;
+    stack[size++] = {0, squared_distance(boxes_[0], p)};
+    while (size > 0) {
+      const auto [node, distance] = stack[--size];
+      if (distance > bound * kSlack) continue;
+      if (nodes_[node].element != kInner) {
+        bound = visit(nodes_[node].element);
+        continue;
+      }
+      const std::uint32_t left = node + 1, right = nodes_[node].right;
+      const double to_left = squared_distance(boxes_[left], p), to_right = squared_distance(boxes_[right], p);
+      const bool left_first = to_left <= to_right;
+      stack[size++] = left_first ? std::pair(right, to_right) : std::pair(left, to_left);
+      stack[size++] = left_first ? std::pair(left, to_left) : std::pair(right, to_right);
+    }
+  }
 
   /// Calls visit(element) for every element whose box overlaps the box.
   template <typename Visit>

@@ -84,10 +84,31 @@ Eigen::MatrixXd SparseCholesky::solve(const Eigen::MatrixXd& right) const {
 
 Eigen::Index SparseCholesky::size() const { return factor_->size; }
 
+SparseCholesky::Triangle SparseCholesky::triangle() const {
+  Common common;
+  cholmod_factor* copy = cholmod_copy_factor(factor_->factor, &common.value);
+  // Simplicial, packed, sorted columns of L L^T whatever kind of factor was chosen.
+  if (copy == nullptr || !cholmod_change_factor(CHOLMOD_REAL, 1, 0, 1, 1, copy, &common.value)) {
+    throw_internal("sparse Cholesky: no memory for a copy of the factor");
+  }
+  Triangle triangle;
+  const auto* permutation = static_cast<const int*>(copy->Perm);
+  triangle.permutation.assign(permutation, permutation + factor_->size);
+  cholmod_sparse* sparse = cholmod_factor_to_sparse(copy, &common.value);
+  cholmod_free_factor(&copy, &common.value);
+  if (sparse == nullptr) throw_internal("sparse Cholesky: no memory for a copy of the factor");
+  const auto size = static_cast<Eigen::Index>(sparse->nrow);
+  triangle.lower = Eigen::Map<const Eigen::SparseMatrix<double>>(
+      size, size, static_cast<const int*>(sparse->p)[size], static_cast<const int*>(sparse->p),
+      static_cast<const int*>(sparse->i), static_cast<const double*>(sparse->x));
+  cholmod_free_sparse(&sparse, &common.value);
+  return triangle;
+}
+
 #else
 
 struct SparseCholesky::Factor {
-  Eigen::SimplicialLLT<Eigen::SparseMatrix<double> > llt;
+  Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> llt;
 };
 
 SparseCholesky::SparseCholesky(const Eigen::SparseMatrix<double>& matrix) : factor_(std::make_unique<Factor>()) {
@@ -104,6 +125,17 @@ Eigen::MatrixXd SparseCholesky::solve(const Eigen::MatrixXd& right) const {
 }
 
 Eigen::Index SparseCholesky::size() const { return factor_->llt.rows(); }
+
+SparseCholesky::Triangle SparseCholesky::triangle() const {
+  Triangle triangle;
+  triangle.lower = factor_->llt.matrixL();
+  // permutationP() maps a row of the matrix to its place in the factor.
+  triangle.permutation.resize(static_cast<std::size_t>(size()));
+  for (int row = 0; row < static_cast<int>(size()); ++row) {
+    triangle.permutation[static_cast<std::size_t>(factor_->llt.permutationP().indices()(row))] = row;
+  }
+  return triangle;
+}
 
 #endif
 

@@ -3,6 +3,7 @@
 
 #include <Eigen/SparseCore>
 #include <memory>
+#include <vector>
 
 namespace pleat {
 
@@ -19,6 +20,14 @@ class SparseCholesky {
   Eigen::MatrixXd solve(const Eigen::MatrixXd& right) const;
 
   Eigen::Index size() const;
+
+  /// A copy of the factor, for solvers of other kinds: lower lower^T = P A P^T, columns with ascending rows, the
+  /// diagonal first. Row i of `lower` belongs to row permutation[i] of the matrix.
+  struct Triangle {
+    Eigen::SparseMatrix<double> lower;
+    std::vector<int> permutation;
+  };
+  Triangle triangle() const;
 
  private:
   struct Factor;

@@ -193,12 +193,18 @@ Subdivision subdivide(const Topology& coarse, int rounds, SubdivisionRule rule) 
 }
 
 Positions upsample(const Subdivision& s, const Faces& coarse_faces, const Positions& coarse_positions) {
+  Positions fine;
+  upsample(s, coarse_faces, coarse_positions, fine);
+  return fine;
+}
+
+void upsample(const Subdivision& s, const Faces& coarse_faces, const Positions& coarse_positions, Positions& fine) {
   const Eigen::Index coarse_count = static_cast<Eigen::Index>(s.feature_vertices.size());
   if (coarse_positions.rows() != coarse_count) {
     throw_invalid_argument("upsample: " + std::to_string(coarse_positions.rows()) + " positions for a coarse mesh of " +
                            std::to_string(coarse_count) + " vertices");
   }
-  Positions fine(s.fine.vertex_count(), 3);
+  fine.resize(s.fine.vertex_count(), 3);
   for (Eigen::Index v = 0; v < fine.rows(); ++v) {
     const auto face = coarse_faces.row(s.parent_face[static_cast<std::size_t>(v)]);
     fine.row(v) = s.barycentric(v, 0) * coarse_positions.row(face(0)) +
@@ -207,7 +213,6 @@ Positions upsample(const Subdivision& s, const Faces& coarse_faces, const Positi
   }
   for (Eigen::Index v = 0; v < coarse_count; ++v)
     fine.row(s.feature_vertices[static_cast<std::size_t>(v)]) = coarse_positions.row(v);
-  return fine;
 }
 
 }  // namespace pleat

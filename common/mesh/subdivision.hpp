@@ -42,5 +42,8 @@ Subdivision subdivide(const Topology& coarse, int rounds = 2, SubdivisionRule ru
 
 /// Barycentric upsampling of a coarse frame: (V_coarse x 3) -> (V_fine x 3). The surface stays the same set of points.
 Positions upsample(const Subdivision& subdivision, const Faces& coarse_faces, const Positions& coarse_positions);
+/// The same into memory that is reused.
+void upsample(const Subdivision& subdivision, const Faces& coarse_faces, const Positions& coarse_positions,
+              Positions& fine);
 
 }  // namespace pleat

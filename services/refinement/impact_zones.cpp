@@ -1,299 +1,163 @@
 #include "services/refinement/impact_zones.hpp"
 
 #include <algorithm>
-#include <limits>
-#include <numeric>
-
-#include "common/mesh/triangle_intersection.hpp"
 
 namespace pleat {
 namespace {
 
-// Above this many candidate pairs a zone is tested by searches that stop at the first hit.
-constexpr std::size_t kMaxCandidates = 400'000;
-constexpr int kGrowthsOfUncleanInput = 1;
+// Rings over which the weights rise to 1.
+constexpr int kRings = 4;
 
-std::uint32_t root_of(std::vector<std::uint32_t>& parent, std::uint32_t i) {
-  while (parent[i] != i) i = parent[i] = parent[parent[i]];
-  return i;
+// The share of a ring: 1 in the middle (ring 0), 0 beyond the last ring, smooth at both ends.
+float share_of_ring(int ring) {
+  const float t = 1 - static_cast<float>(ring) / static_cast<float>(kRings + 1);
+  return t * t * (3 - 2 * t);
 }
-
-class Zones {
- public:
-  Zones(const BlendProblem& problem, Positions& positions, SelfIntersectionFinder& finder)
-      : problem_(problem),
-        positions_(positions),
-        finder_(finder),
-        zone_of_(static_cast<std::size_t>(positions.rows()), -1),
-        face_in_zone_(static_cast<std::size_t>(finder.faces().rows()), 0) {}
-
-  void seed(std::span<const FacePair> pairs, std::span<const std::uint32_t> penetrations) {
-    std::vector<std::uint32_t> parent(zone_of_.size());
-    std::iota(parent.begin(), parent.end(), 0u);
-    std::vector<std::uint8_t> used(zone_of_.size(), 0);
-    const auto unite = [&](std::uint32_t a, std::uint32_t b) {
-      used[a] = used[b] = 1;
-      a = root_of(parent, a);
-      b = root_of(parent, b);
-      parent[std::max(a, b)] = std::min(a, b);
-    };
-    const auto add_face = [&](std::uint32_t face, std::uint32_t anchor) {
-      for (int k = 0; k < 3; ++k) {
-        const std::uint32_t v = finder_.faces()(face, k);
-        unite(v, anchor);
-        for (const std::uint32_t n : ring(v)) unite(n, v);
-      }
-    };
-    for (const FacePair& pair : pairs) {
-      for (const std::uint32_t face : pair) add_face(face, finder_.faces()(pair[0], 0));
-    }
-    for (const std::uint32_t face : penetrations) add_face(face, finder_.faces()(face, 0));
-    std::vector<int> zone_of_root(zone_of_.size(), -1);
-    for (std::uint32_t v = 0; v < zone_of_.size(); ++v) {
-      if (used[v] == 0) continue;
-      int& zone = zone_of_root[root_of(parent, v)];
-      if (zone < 0) {
-        zone = static_cast<int>(zones_.size());
-        zones_.emplace_back();
-      }
-      add(zone, v);
-    }
-  }
-
-  void seed_all() {
-    zones_.emplace_back();
-    for (std::uint32_t v = 0; v < zone_of_.size(); ++v) add(0, v);
-  }
-
-  std::size_t solve_all() {
-    std::size_t solved = 0;
-    for (int zone = 0; zone < static_cast<int>(zones_.size()); ++zone) {
-      if (zones_[static_cast<std::size_t>(zone)].empty()) continue;
-      solve(zone);
-      ++solved;
-    }
-    return solved;
-  }
-
- private:
-  std::span<const std::uint32_t> ring(std::uint32_t v) const {
-    const Neighbourhood& n = *problem_.neighbourhood;
-    return std::span(n.vertices).subspan(n.vertex_offsets[v], n.vertex_offsets[v + 1] - n.vertex_offsets[v]);
-  }
-
-  void add(int zone, std::uint32_t v) {
-    zone_of_[v] = zone;
-    zones_[static_cast<std::size_t>(zone)].push_back(v);
-  }
-
-  // v joins the zone; if it has another, that one joins as a whole.
-  void absorb(int zone, std::uint32_t v) {
-    const int other = zone_of_[v];
-    if (other == zone) return;
-    if (other < 0) {
-      add(zone, v);
-      return;
-    }
-    for (const std::uint32_t w : std::exchange(zones_[static_cast<std::size_t>(other)], {})) add(zone, w);
-  }
-
-  void grow(int zone, const std::vector<std::uint32_t>& offenders, int rings) {
-    for (const std::uint32_t f : offenders) {
-      for (int k = 0; k < 3; ++k) absorb(zone, finder_.faces()(f, k));
-    }
-    for (int i = 0; i < rings; ++i) {
-      const std::vector<std::uint32_t> members = zones_[static_cast<std::size_t>(zone)];
-      for (const std::uint32_t v : members) {
-        for (const std::uint32_t n : ring(v)) absorb(zone, n);
-      }
-    }
-  }
-
-  void set_weight(int zone, float weight) {
-    const Positions &safe = *problem_.safe, &wanted = *problem_.wanted;
-    for (const std::uint32_t v : zones_[static_cast<std::size_t>(zone)]) {
-      if (weight == 1) {
-        positions_.row(v) = wanted.row(v);
-        continue;
-      }
-      // Rounding must not leave the box of the two ends, which the candidates are found with.
-      const Eigen::RowVector3f a = safe.row(v), b = wanted.row(v);
-      positions_.row(v) = (a + weight * (b - a)).cwiseMax(a.cwiseMin(b)).cwiseMin(a.cwiseMax(b));
-    }
-  }
-
-  // The faces that touch the zone, ascending.
-  void collect_faces(int zone) {
-    for (const std::uint32_t f : faces_) face_in_zone_[f] = 0;
-    faces_.clear();
-    const Neighbourhood& n = *problem_.neighbourhood;
-    for (const std::uint32_t v : zones_[static_cast<std::size_t>(zone)]) {
-      for (std::uint32_t i = n.face_offsets[v]; i < n.face_offsets[v + 1]; ++i) {
-        if (face_in_zone_[n.faces[i]] != 0) continue;
-        face_in_zone_[n.faces[i]] = 1;
-        faces_.push_back(n.faces[i]);
-      }
-    }
-    std::sort(faces_.begin(), faces_.end());
-  }
-
-  // Each pair of a zone's face with another face once. Returns false if visit() asked to stop.
-  template <typename Visit>
-  bool visit_neighbours(const Visit& visit) const {
-    bool go_on = true;
-    for (const std::uint32_t f : faces_) {
-      finder_.query(finder_.box(f), [&](std::uint32_t g) {
-        if (go_on && g != f && (face_in_zone_[g] == 0 || f < g)) go_on = visit(f, g);
-      });
-      if (!go_on) return false;
-    }
-    return true;
-  }
-
-  // All pairs that may meet while the zone moves between the two ends; false if they are too many to keep.
-  bool collect_candidates() {
-    candidates_.clear();
-    finder_.update_swept(*problem_.safe, *problem_.wanted, faces_);
-    return visit_neighbours([&](std::uint32_t f, std::uint32_t g) {
-      if (candidates_.size() == kMaxCandidates) return false;
-      candidates_.push_back({f, g});
-      return true;
-    });
-  }
-
-  // Whether the zone's faces are clean at the current positions; otherwise, if asked for, all faces that are not.
-  bool is_clean(bool use_candidates, std::vector<std::uint32_t>* offenders) {
-    bool clean = true;
-    const auto report = [&](std::uint32_t f) {
-      clean = false;
-      if (offenders != nullptr) offenders->push_back(f);
-      return offenders != nullptr;
-    };
-    for (const std::uint32_t f : faces_) {
-      if (problem_.field->empty()) break;
-      if (problem_.field->penetrates(positions_, finder_.faces(), f) && !report(f)) return false;
-    }
-    const auto test = [&](std::uint32_t f, std::uint32_t g) {
-      return !faces_intersect(positions_, finder_.faces(), f, g) || (report(g) && report(f));
-    };
-    if (use_candidates) {
-      for (const FacePair& pair : candidates_) {
-        if (boxes_overlap(pair[0], pair[1]) && !test(pair[0], pair[1])) return false;
-      }
-    } else if (face_in_zone_.size() == faces_.size()) {
-      finder_.update(positions_);
-      std::vector<FacePair> pairs;
-      finder_.find(positions_, offenders == nullptr ? 1 : kMaxCandidates, pairs);
-      for (const FacePair& pair : pairs) clean = report(pair[0]) && report(pair[1]) && clean;
-      clean = clean && pairs.empty();
-    } else {
-      finder_.update(positions_, faces_);
-      visit_neighbours(test);
-    }
-    return clean;
-  }
-
-  bool boxes_overlap(std::uint32_t f, std::uint32_t g) const {
-    for (int k = 0; k < 3; ++k) {
-      const auto at = [&](std::uint32_t face, int corner) { return positions_(finder_.faces()(face, corner), k); };
-      const float f0 = at(f, 0), f1 = at(f, 1), f2 = at(f, 2), g0 = at(g, 0), g1 = at(g, 1), g2 = at(g, 2);
-      if (std::min({f0, f1, f2}) > std::max({g0, g1, g2}) || std::min({g0, g1, g2}) > std::max({f0, f1, f2}))
-        return false;
-    }
-    return true;
-  }
-
-  void solve(int zone) {
-    std::vector<std::uint32_t> offenders;
-    for (int growth = 0;; ++growth) {
-      collect_faces(zone);
-      const bool use_candidates = collect_candidates();
-      set_weight(zone, 0);
-      offenders.clear();
-      const bool safe = is_clean(use_candidates, &offenders);
-      const std::size_t size = zones_[static_cast<std::size_t>(zone)].size();
-      if (safe || size == zone_of_.size() || (!problem_.may_take_all && growth == kGrowthsOfUncleanInput)) {
-        if (safe) {
-          bisect(zone, use_candidates);
-        } else {
-          choose_end(zone, use_candidates, offenders.size());
-        }
-        finder_.update(positions_, faces_);
-        return;
-      }
-      set_weight(zone, 1);
-      finder_.update(positions_, faces_);
-      grow(zone, offenders, 1 << std::min(growth, 6));
-      if (problem_.may_take_all && 2 * zones_[static_cast<std::size_t>(zone)].size() > zone_of_.size()) {
-        for (std::uint32_t v = 0; v < zone_of_.size(); ++v) absorb(zone, v);
-      }
-    }
-  }
-
-  // Weight 0 is clean.
-  void bisect(int zone, bool use_candidates) {
-    float clean = 0, unclean = 1;
-    for (int i = 0; i < problem_.bisections; ++i) {
-      const float middle = 0.5f * (clean + unclean);
-      set_weight(zone, middle);
-      (is_clean(use_candidates, nullptr) ? clean : unclean) = middle;
-    }
-    set_weight(zone, clean);
-  }
-
-  // Weight 0 is not clean, because the coarse mesh is not: keep the end with fewer offences, the wanted one if equal.
-  void choose_end(int zone, bool use_candidates, std::size_t offences_when_safe) {
-    std::vector<std::uint32_t> offenders;
-    set_weight(zone, 1);
-    is_clean(use_candidates, &offenders);
-    if (offences_when_safe < offenders.size()) set_weight(zone, 0);
-  }
-
-  const BlendProblem& problem_;
-  Positions& positions_;
-  SelfIntersectionFinder& finder_;
-  std::vector<int> zone_of_;                       // of a vertex, or -1
-  std::vector<std::vector<std::uint32_t>> zones_;  // vertices; a swallowed zone is empty
-  std::vector<std::uint8_t> face_in_zone_;         // of the zone being solved
-  std::vector<std::uint32_t> faces_;               // of the zone being solved
-  std::vector<FacePair> candidates_;
-};
 
 }  // namespace
 
 Neighbourhood build_neighbourhood(const Faces& faces, Eigen::Index vertex_count) {
   Neighbourhood n;
-  std::vector<std::vector<std::uint32_t>> at(static_cast<std::size_t>(vertex_count)), around(at.size());
+  std::vector<std::vector<std::uint32_t>> around(static_cast<std::size_t>(vertex_count));
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
     for (int k = 0; k < 3; ++k) {
-      at[faces(f, k)].push_back(static_cast<std::uint32_t>(f));
       around[faces(f, k)].push_back(faces(f, (k + 1) % 3));
       around[faces(f, k)].push_back(faces(f, (k + 2) % 3));
     }
   }
-  n.vertex_offsets.push_back(0);
-  n.face_offsets.push_back(0);
-  for (std::size_t v = 0; v < at.size(); ++v) {
-    std::sort(around[v].begin(), around[v].end());
-    around[v].erase(std::unique(around[v].begin(), around[v].end()), around[v].end());
-    n.vertices.insert(n.vertices.end(), around[v].begin(), around[v].end());
-    n.faces.insert(n.faces.end(), at[v].begin(), at[v].end());
-    n.vertex_offsets.push_back(static_cast<std::uint32_t>(n.vertices.size()));
-    n.face_offsets.push_back(static_cast<std::uint32_t>(n.faces.size()));
+  n.offsets.push_back(0);
+  for (auto& list : around) {
+    std::sort(list.begin(), list.end());
+    list.erase(std::unique(list.begin(), list.end()), list.end());
+    n.vertices.insert(n.vertices.end(), list.begin(), list.end());
+    n.offsets.push_back(static_cast<std::uint32_t>(n.vertices.size()));
   }
   return n;
 }
 
-std::size_t resolve_zones(const BlendProblem& problem, std::span<const FacePair> pairs,
-                          std::span<const std::uint32_t> penetrations, bool all, Positions& positions,
-                          SelfIntersectionFinder& finder) {
-  Zones zones(problem, positions, finder);
-  if (all) {
-    zones.seed_all();
-  } else {
-    zones.seed(pairs, penetrations);
+ImpactZones::ImpactZones(const Faces& faces, Eigen::Index vertex_count)
+    : faces_(faces),
+      neighbourhood_(build_neighbourhood(faces, vertex_count)),
+      blend_(static_cast<std::size_t>(vertex_count), 0.f),
+      is_changed_(blend_.size(), 0),
+      is_moved_(static_cast<std::size_t>(faces.rows()), 0),
+      stamps_(blend_.size(), 0) {}
+
+void ImpactZones::begin(const Positions& safe, const Positions& wanted, const SelfIntersectionFinder& finder) {
+  safe_ = &safe;
+  wanted_ = &wanted;
+  finder_ = &finder;
+  std::fill(blend_.begin(), blend_.end(), 0.f);
+  touched_.clear();
+}
+
+void ImpactZones::begin_collecting() {
+  if (++stamp_ != 0) return;
+  std::fill(stamps_.begin(), stamps_.end(), 0u);
+  stamp_ = 1;
+}
+
+bool ImpactZones::collect(std::uint32_t v, std::vector<std::uint32_t>& out) {
+  if (stamps_[v] == stamp_) return false;
+  stamps_[v] = stamp_;
+  out.push_back(v);
+  return true;
+}
+
+void ImpactZones::mark_changed(std::uint32_t v) {
+  if (is_changed_[v] != 0) return;
+  is_changed_[v] = 1;
+  changed_.push_back(v);
+}
+
+// `depth` at v, and shares of it around.
+void ImpactZones::hollow(std::uint32_t v, float depth) {
+  begin_collecting();
+  around_.clear();
+  collect(v, around_);
+  std::size_t begin = 0;
+  for (int r = 0; r <= kRings; ++r) {
+    const float blend = depth * share_of_ring(r);
+    const std::size_t end = around_.size();
+    for (std::size_t i = begin; i < end; ++i) {
+      const std::uint32_t w = around_[i];
+      if (blend_[w] < blend) {
+        if (blend_[w] == 0) touched_.push_back(w);
+        blend_[w] = blend;
+        mark_changed(w);
+      }
+      if (r == kRings) continue;
+      for (const std::uint32_t n : ring(w)) collect(n, around_);
+    }
+    begin = end;
   }
-  return zones.solve_all();
+}
+
+// Places the changed vertices and names their patches.
+void ImpactZones::finish_change(Positions& positions) {
+  moved_.clear();
+  for (const std::uint32_t v : changed_) {
+    is_changed_[v] = 0;
+    const float blend = blend_[v];
+    if (blend == 0) {
+      positions.row(v) = wanted_->row(v);
+    } else if (blend == 1) {
+      positions.row(v) = safe_->row(v);
+    } else {
+      positions.row(v) = wanted_->row(v) + blend * (safe_->row(v) - wanted_->row(v));
+    }
+    for (const std::uint32_t p : finder_->patches_at(v)) {
+      if (is_moved_[p] != 0) continue;
+      is_moved_[p] = 1;
+      moved_.push_back(p);
+    }
+  }
+  changed_.clear();
+  for (const std::uint32_t p : moved_) is_moved_[p] = 0;
+  std::sort(moved_.begin(), moved_.end());
+}
+
+bool ImpactZones::lower(std::span<const std::uint32_t> offending_faces, float step, Positions& positions) {
+  begin_collecting();
+  corners_.clear();
+  for (const std::uint32_t f : offending_faces) {
+    for (int k = 0; k < 3; ++k) collect(faces_(f, k), corners_);
+  }
+  // All depths first: the order of the faces must not matter.
+  std::erase_if(corners_, [&](std::uint32_t v) { return blend_[v] == 1; });
+  depths_.clear();
+  for (const std::uint32_t v : corners_) depths_.push_back(std::min(1.f, blend_[v] + step));
+  for (std::size_t i = 0; i < corners_.size(); ++i) hollow(corners_[i], depths_[i]);
+  finish_change(positions);
+  return !corners_.empty();
+}
+
+void ImpactZones::set_all(float weight, Positions& positions) {
+  touched_.clear();
+  for (std::uint32_t v = 0; v < blend_.size(); ++v) {
+    blend_[v] = 1 - weight;
+    if (weight < 1) touched_.push_back(v);
+    mark_changed(v);
+  }
+  finish_change(positions);
+}
+
+std::size_t ImpactZones::count() {
+  begin_collecting();
+  around_.clear();
+  std::size_t zones = 0;
+  for (const std::uint32_t v : touched_) {
+    if (blend_[v] == 0 || !collect(v, around_)) continue;
+    ++zones;
+    while (!around_.empty()) {
+      const std::uint32_t w = around_.back();
+      around_.pop_back();
+      for (const std::uint32_t n : ring(w)) {
+        if (blend_[n] > 0) collect(n, around_);
+      }
+    }
+  }
+  return zones;
 }
 
 }  // namespace pleat

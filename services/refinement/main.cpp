@@ -11,7 +11,8 @@ int main(int argc, char** argv) {
                                    "PLEAT_REFINEMENT_");
     pleat::rpc::add_options(options, server);
     options.add("max-vertices", refinement.max_vertices, "largest fine mesh of a session")
-        .add("bisections", refinement.bisections, "halvings of the interpolation weight of an impact zone");
+        .add("bisections", refinement.bisections, "weights of impact zones are found to 2^-bisections")
+        .add("threads", refinement.threads, "threads of a session (0: as many as there are processors)");
     if (!options.parse(argc, argv)) return 0;
     pleat::telemetry::set_up_logging("refinement", server.log);
     pleat::telemetry::Metrics metrics("refinement");

@@ -8,13 +8,15 @@
 
 #include "common/base/error.hpp"
 #include "common/mesh/closest_points.hpp"
-#include "common/mesh/connectivity.hpp"
 #include "common/mesh/triangle_intersection.hpp"
 
 namespace pleat {
 namespace {
 
 using Vec3 = Eigen::Vector3d;
+
+// Nearer to the surface or to an axis than this, the direction to it says nothing.
+constexpr double kNoDirection = 1e-9;
 
 Vec3 point(const Positions& positions, std::uint32_t v) { return positions.row(v).cast<double>(); }
 
@@ -24,18 +26,21 @@ Triangle3f corners(const Positions& positions, const Faces& faces, std::uint32_t
 
 Box box_of(const Triangle3f& t) {
   Box box;
-  for (const Eigen::Vector3f& p : t) box.extend(Vec3(p.cast<double>()));
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto axis = static_cast<Eigen::Index>(k);
+    box.lower[k] = std::min({t[0][axis], t[1][axis], t[2][axis]});
+    box.upper[k] = std::max({t[0][axis], t[1][axis], t[2][axis]});
+  }
   return box;
 }
 
-double squared_distance(const Box& box, const Vec3& p) {
-  double sum = 0;
-  for (int k = 0; k < 3; ++k) {
-    const double outside =
-        std::max({static_cast<double>(box.lower[k]) - p[k], p[k] - static_cast<double>(box.upper[k]), 0.0});
-    sum += outside * outside;
+Box widened(const Box& box, double margin) {
+  Box wide;
+  for (const auto& corner : {box.lower, box.upper}) {
+    wide.extend(Vec3(static_cast<double>(corner[0]), static_cast<double>(corner[1]), static_cast<double>(corner[2])),
+                margin);
   }
-  return sum;
+  return wide;
 }
 
 // Adds `move` to the point with barycentric coordinates b of a face by moving its corners as little as possible.
@@ -44,46 +49,104 @@ void move_point(Positions& positions, const Faces& faces, std::uint32_t face, co
   for (int k = 0; k < 3; ++k) positions.row(faces(face, k)) += (b[k] * scaled).cast<float>().transpose();
 }
 
+// A direction in which to leave a capsule from its axis.
+Vec3 away_from_axis(const Capsule& capsule) {
+  const Vec3 axis = capsule.b - capsule.a;
+  if (axis.squaredNorm() == 0) return Vec3::UnitY();
+  const Vec3 up = Vec3::UnitY() - axis * (axis.y() / axis.squaredNorm());
+  return up.norm() > 0.1 ? Vec3(up.normalized()) : Vec3(axis.unitOrthogonal());
+}
+
+ObstacleContact contact_along(const Capsule& capsule, const Vec3& offset) {
+  const double length = offset.norm();
+  return {length - capsule.radius, length > kNoDirection ? Vec3(offset / length) : away_from_axis(capsule)};
+}
+
+bool finite(const Capsule& capsule) {
+  return capsule.a.allFinite() && capsule.b.allFinite() && std::isfinite(capsule.radius) && capsule.radius > 0;
+}
+
 }  // namespace
+
+ObstacleContact capsule_contact(const Capsule& capsule, const Vec3& p) {
+  const double s = closest_on_segment(p, capsule.a, capsule.b);
+  return contact_along(capsule, p - capsule.a - s * (capsule.b - capsule.a));
+}
+
+TriangleContact capsule_contact(const Capsule& capsule, const Vec3& a, const Vec3& b, const Vec3& c) {
+  TriangleContact nearest{closest_on_triangle(capsule.a, a, b, c), {}};
+  Vec3 offset = nearest.weights[0] * a + nearest.weights[1] * b + nearest.weights[2] * c - capsule.a;
+  double squared = offset.squaredNorm();
+  const auto consider = [&](const Vec3& weights, const Vec3& on_axis) {
+    const Vec3 other = weights[0] * a + weights[1] * b + weights[2] * c - on_axis;
+    if (other.squaredNorm() >= squared) return;
+    squared = other.squaredNorm();
+    nearest.weights = weights;
+    offset = other;
+  };
+  if (capsule.a != capsule.b) {
+    consider(closest_on_triangle(capsule.b, a, b, c), capsule.b);
+    const std::array<Vec3, 3> corner{a, b, c};
+    for (int k = 0; k < 3; ++k) {
+      const int next = (k + 1) % 3;
+      const ClosestPoints pair = closest_edge_edge(corner[static_cast<std::size_t>(k)],
+                                                   corner[static_cast<std::size_t>(next)], capsule.a, capsule.b);
+      Vec3 weights = Vec3::Zero();
+      weights[k] = pair.weights[0];
+      weights[next] = pair.weights[1];
+      consider(weights, -pair.weights[2] * capsule.a - pair.weights[3] * capsule.b);
+    }
+    // Where the axis pierces the triangle, it is nearest to itself.
+    const Vec3 normal = (b - a).cross(c - a);
+    const double from = normal.dot(capsule.a - a), to = normal.dot(capsule.b - a);
+    if ((from < 0) != (to < 0)) {
+      const Vec3 pierced = capsule.a + from / (from - to) * (capsule.b - capsule.a);
+      consider(closest_on_triangle(pierced, a, b, c), pierced);
+    }
+  }
+  nearest.contact = contact_along(capsule, offset);
+  return nearest;
+}
+
+namespace {
+
+// Whether a face reaches into a capsule, and where it does most.
+std::optional<TriangleContact> penetration(const Capsule& capsule, const Positions& positions, const Faces& faces,
+                                           std::uint32_t face) {
+  const Vec3 a = point(positions, faces(face, 0)), b = point(positions, faces(face, 1)),
+             c = point(positions, faces(face, 2));
+  // No point of the face is farther from its first corner than the other corners are.
+  const double reach = std::sqrt(std::max((b - a).squaredNorm(), (c - a).squaredNorm()));
+  if (capsule_contact(capsule, a).distance > reach) return std::nullopt;
+  const TriangleContact found = capsule_contact(capsule, a, b, c);
+  if (found.contact.distance >= -kPenetrationTolerance) return std::nullopt;
+  return found;
+}
+
+}  // namespace
+
+bool reaches_in(const Capsule& capsule, const Positions& positions, const Faces& faces, std::uint32_t face) {
+  return penetration(capsule, positions, faces, face).has_value();
+}
 
 MeshObstacle::MeshObstacle(const Faces& faces, Eigen::Index vertex_count, const std::string& name) : faces_(faces) {
   Topology topology;
   topology.rest_positions = Positions::Zero(vertex_count, 3);
   topology.faces = faces;
   validate_topology(topology, "obstacle " + name);
-  Connectivity connectivity = build_connectivity(vertex_count, faces);
-  for (const Edge& edge : connectivity.edges) {
+  connectivity_ = build_connectivity(vertex_count, faces);
+  for (const Edge& edge : connectivity_.edges) {
     if (edge.f1 == kNone) {
       throw_invalid_argument("obstacle " + name + ": the mesh is not closed at edge " + std::to_string(edge.v0) + "-" +
                              std::to_string(edge.v1));
     }
   }
-  face_edges_ = std::move(connectivity.face_edges);
-  edge_count_ = connectivity.edges.size();
   boxes_.resize(static_cast<std::size_t>(faces.rows()));
-  face_normals_.resize(boxes_.size());
 }
 
 void MeshObstacle::update(const Positions& positions) {
   positions_ = positions;
-  vertex_normals_.assign(static_cast<std::size_t>(positions.rows()), Vec3::Zero());
-  edge_normals_.assign(edge_count_, Vec3::Zero());
-  for (std::uint32_t f = 0; f < boxes_.size(); ++f) {
-    boxes_[f] = box_of(corners(positions, faces_, f));
-    std::array<Vec3, 3> x;
-    for (int k = 0; k < 3; ++k) x[static_cast<std::size_t>(k)] = point(positions, faces_(f, k));
-    Vec3 normal = (x[1] - x[0]).cross(x[2] - x[0]);
-    const double length = normal.norm();
-    normal = length > 0 ? Vec3(normal / length) : Vec3(Vec3::Zero());
-    face_normals_[f] = normal;
-    for (std::size_t k = 0; k < 3; ++k) {
-      const Vec3 u = x[(k + 1) % 3] - x[k], v = x[(k + 2) % 3] - x[k];
-      vertex_normals_[faces_(f, static_cast<Eigen::Index>(k))] += std::atan2(u.cross(v).norm(), u.dot(v)) * normal;
-      edge_normals_[face_edges_[f][k]] += normal;
-    }
-  }
-  for (Vec3& n : vertex_normals_) n.normalize();
-  for (Vec3& n : edge_normals_) n.normalize();
+  for (std::uint32_t f = 0; f < boxes_.size(); ++f) boxes_[f] = box_of(corners(positions, faces_, f));
   if (tree_.empty()) {
     tree_ = Bvh(boxes_);
   } else {
@@ -91,51 +154,78 @@ void MeshObstacle::update(const Positions& positions) {
   }
 }
 
-std::optional<ObstacleContact> MeshObstacle::contact(const Vec3& p, double reach) const {
-  if (squared_distance(bounds(), p) > reach * reach) return std::nullopt;
-  double best = std::numeric_limits<double>::max();
-  std::uint32_t best_face = 0;
-  Vec3 best_weights = Vec3::Zero();
-  double diagonal = 0;
-  for (int k = 0; k < 3; ++k)
-    diagonal += static_cast<double>(bounds().upper[k]) - static_cast<double>(bounds().lower[k]);
-  // Growing boxes around p: the nearest face is found once it is nearer than the box is wide.
-  for (double radius = std::max(reach, 1e-3 * diagonal);; radius *= 2) {
-    Box box;
-    box.extend(p, radius);
-    tree_.query(box, [&](std::uint32_t f) {
-      if (squared_distance(boxes_[f], p) >= best) return;
-      const Vec3 a = point(positions_, faces_(f, 0)), b = point(positions_, faces_(f, 1)),
-                 c = point(positions_, faces_(f, 2));
-      const Vec3 weights = closest_on_triangle(p, a, b, c);
-      const double squared = (p - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
-      if (squared < best) {
-        best = squared;
-        best_face = f;
-        best_weights = weights;
-      }
-    });
-    if (best <= radius * radius || radius > 2 * diagonal + reach) break;
+Vec3 MeshObstacle::face_normal(std::uint32_t face) const {
+  const Vec3 a = point(positions_, faces_(face, 0));
+  const Vec3 normal = (point(positions_, faces_(face, 1)) - a).cross(point(positions_, faces_(face, 2)) - a);
+  const double length = normal.norm();
+  return length > 0 ? Vec3(normal / length) : Vec3(Vec3::Zero());
+}
+
+Vec3 MeshObstacle::vertex_normal(std::uint32_t vertex) const {
+  Vec3 sum = Vec3::Zero();
+  const Vec3 x = point(positions_, vertex);
+  for (std::uint32_t i = connectivity_.vertex_face_offsets[vertex]; i < connectivity_.vertex_face_offsets[vertex + 1];
+       ++i) {
+    const std::uint32_t face = connectivity_.vertex_faces[i];
+    int k = 0;
+    while (faces_(face, k) != vertex) ++k;
+    const Vec3 u = point(positions_, faces_(face, (k + 1) % 3)) - x,
+               v = point(positions_, faces_(face, (k + 2) % 3)) - x;
+    sum += std::atan2(u.cross(v).norm(), u.dot(v)) * face_normal(face);
   }
-  if (best == std::numeric_limits<double>::max()) return std::nullopt;
+  return sum.normalized();
+}
+
+std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squared_reach) const {
+  double best = squared_reach;
+  std::uint32_t best_face = kNone;
+  Vec3 best_weights = Vec3::Zero();
+  tree_.nearest(p, best, [&](std::uint32_t f) {
+    const Vec3 a = point(positions_, faces_(f, 0)), b = point(positions_, faces_(f, 1)),
+               c = point(positions_, faces_(f, 2));
+    const Vec3 weights = closest_on_triangle(p, a, b, c);
+    const double squared = (p - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
+    // The smaller index of two equally near faces, whatever the tree's shape.
+    if (squared < best || (squared == best && f < best_face)) {
+      best = squared;
+      best_face = f;
+      best_weights = weights;
+    }
+    return best;
+  });
+  if (best_face == kNone) return std::nullopt;
 
   Vec3 closest = Vec3::Zero();
   for (int k = 0; k < 3; ++k) closest += best_weights[k] * point(positions_, faces_(best_face, k));
-  Vec3 normal = face_normals_[best_face];
   constexpr double kOnBoundary = 1e-9;
-  for (int k = 0; k < 3; ++k) {
-    if (best_weights[k] > 1 - kOnBoundary) {
-      normal = vertex_normals_[faces_(best_face, k)];
-    } else if (best_weights[k] < kOnBoundary && best_weights.maxCoeff() <= 1 - kOnBoundary) {
-      normal = edge_normals_[face_edges_[best_face][static_cast<std::size_t>((k + 1) % 3)]];
-    }
+  const auto corner = [&](int k) { return best_weights[k] > 1 - kOnBoundary; };
+  Vec3 normal;
+  if (corner(0) || corner(1) || corner(2)) {
+    normal = vertex_normal(faces_(best_face, corner(0) ? 0 : (corner(1) ? 1 : 2)));
+  } else if (best_weights.minCoeff() < kOnBoundary) {
+    int opposite = 0;
+    best_weights.minCoeff(&opposite);
+    const Edge& edge =
+        connectivity_.edges[connectivity_.face_edges[best_face][static_cast<std::size_t>((opposite + 1) % 3)]];
+    normal = (face_normal(edge.f0) + face_normal(edge.f1)).normalized();
+  } else {
+    normal = face_normal(best_face);
   }
   const Vec3 offset = p - closest;
   const double length = std::sqrt(best);
-  const bool inside = offset.dot(normal) < 0;
-  const double distance = inside ? -length : length;
-  if (distance > reach) return std::nullopt;
-  return ObstacleContact{distance, length > 1e-9 ? Vec3(offset / distance) : normal};
+  const double distance = offset.dot(normal) < 0 ? -length : length;
+  return ObstacleContact{distance, length > kNoDirection ? Vec3(offset / distance) : normal};
+}
+
+std::optional<ObstacleContact> MeshObstacle::contact(const Vec3& p, double reach) const {
+  if (squared_distance(bounds(), p) > reach * reach) return std::nullopt;
+  const auto found = nearest(p, std::numeric_limits<double>::max());
+  if (!found || found->distance > reach) return std::nullopt;
+  return found;
+}
+
+std::optional<ObstacleContact> MeshObstacle::contact_near(const Vec3& p, double reach) const {
+  return nearest(p, reach * reach);
 }
 
 template <typename Visit>
@@ -153,33 +243,14 @@ bool MeshObstacle::intersects(const Triangle3f& triangle) const {
   return found;
 }
 
-std::vector<std::uint32_t> MeshObstacle::intersecting_vertices(const Triangle3f& triangle) const {
-  std::vector<std::uint32_t> vertices;
+void MeshObstacle::intersecting_vertices(const Triangle3f& triangle, std::vector<std::uint32_t>& out) const {
+  const auto first = static_cast<std::ptrdiff_t>(out.size());
   visit_intersecting(triangle, [&](std::uint32_t f) {
-    for (int k = 0; k < 3; ++k) vertices.push_back(faces_(f, k));
+    for (int k = 0; k < 3; ++k) out.push_back(faces_(f, k));
   });
-  std::sort(vertices.begin(), vertices.end());
-  vertices.erase(std::unique(vertices.begin(), vertices.end()), vertices.end());
-  return vertices;
+  std::sort(out.begin() + first, out.end());
+  out.erase(std::unique(out.begin() + first, out.end()), out.end());
 }
-
-struct ObstacleField::Part {
-  std::string name;
-  Faces faces;                         // of a mesh
-  std::unique_ptr<MeshObstacle> mesh;  // made by the first frame, which tells the vertex count
-  Vec3 center = Vec3::Zero();          // sphere
-  double radius = 0;                   // sphere
-  bool present = false;                // in this frame
-
-  bool sphere_contains(const Vec3& closest) const { return (closest - center).norm() < radius - kPenetrationTolerance; }
-  // Barycentric coordinates of the face's point nearest to the sphere's centre, and that point.
-  std::pair<Vec3, Vec3> nearest_to_center(const Positions& positions, const Faces& cloth, std::uint32_t face) const {
-    const Vec3 a = point(positions, cloth(face, 0)), b = point(positions, cloth(face, 1)),
-               c = point(positions, cloth(face, 2));
-    const Vec3 weights = closest_on_triangle(center, a, b, c);
-    return {weights, weights[0] * a + weights[1] * b + weights[2] * c};
-  }
-};
 
 ObstacleField::ObstacleField(std::span<const ObstacleShape> shapes) {
   for (const ObstacleShape& shape : shapes) {
@@ -198,38 +269,52 @@ ObstacleField::~ObstacleField() = default;
 ObstacleField::ObstacleField(ObstacleField&&) noexcept = default;
 ObstacleField& ObstacleField::operator=(ObstacleField&&) noexcept = default;
 
-void ObstacleField::update(std::span<const ObstacleFrame> frames) {
+// The obstacle of this name, new if there is none, marked as present.
+ObstacleField::Part& ObstacleField::part_named(const std::string& name) {
+  auto part = std::find_if(parts_.begin(), parts_.end(), [&](const Part& p) { return p.name == name; });
+  if (part == parts_.end()) {
+    parts_.emplace_back();
+    part = parts_.end() - 1;
+    part->name = name;
+  }
+  if (part->present) throw_invalid_argument("obstacle " + name + " is twice in one frame");
+  part->present = true;
+  return *part;
+}
+
+void ObstacleField::update(std::span<const ObstacleFrame> frames, std::span<const CapsuleFrame> capsules) {
   for (Part& part : parts_) part.present = false;
   for (const ObstacleFrame& frame : frames) {
-    auto part = std::find_if(parts_.begin(), parts_.end(), [&](const Part& p) { return p.name == frame.name; });
-    if (part == parts_.end()) {
-      if (frame.positions.rows() != 0) throw_invalid_argument("obstacle " + frame.name + ": a mesh without its faces");
-      Part sphere;
-      sphere.name = frame.name;
-      parts_.push_back(std::move(sphere));
-      part = parts_.end() - 1;
-    }
-    if (part->present) throw_invalid_argument("obstacle " + frame.name + " is twice in one frame");
-    part->present = true;
-    if (part->faces.rows() == 0) {
-      if (!frame.center.allFinite() || !std::isfinite(frame.radius) || frame.radius <= 0 ||
-          frame.positions.rows() != 0) {
+    Part& part = part_named(frame.name);
+    if (part.faces.rows() == 0) {
+      if (frame.positions.rows() != 0 && frame.radius == 0)
+        throw_invalid_argument("obstacle " + frame.name + ": a mesh without its faces");
+      const Eigen::Vector3d center = frame.center.cast<double>();
+      const Capsule sphere{center, center, static_cast<double>(frame.radius)};
+      if (!finite(sphere) || frame.positions.rows() != 0) {
         throw_invalid_argument("obstacle " + frame.name + ": a sphere needs a finite centre and a radius above 0");
       }
-      part->center = frame.center.cast<double>();
-      part->radius = static_cast<double>(frame.radius);
+      part.capsules.assign(1, sphere);
       continue;
     }
     if (frame.positions.rows() == 0 || !frame.positions.allFinite()) {
       throw_invalid_argument("obstacle " + frame.name + ": positions are absent or not finite");
     }
-    if (part->mesh == nullptr) {
-      part->mesh = std::make_unique<MeshObstacle>(part->faces, frame.positions.rows(), part->name);
-    } else if (frame.positions.rows() != part->mesh->positions().rows()) {
+    if (part.mesh == nullptr) {
+      part.mesh = std::make_unique<MeshObstacle>(part.faces, frame.positions.rows(), part.name);
+    } else if (frame.positions.rows() != part.mesh->positions().rows()) {
       throw_invalid_argument("obstacle " + frame.name + ": " + std::to_string(frame.positions.rows()) +
-                             " positions, earlier " + std::to_string(part->mesh->positions().rows()));
+                             " positions, earlier " + std::to_string(part.mesh->positions().rows()));
     }
-    part->mesh->update(frame.positions);
+    part.mesh->update(frame.positions);
+  }
+  for (const CapsuleFrame& frame : capsules) {
+    Part& part = part_named(frame.name);
+    if (part.faces.rows() != 0) throw_invalid_argument("obstacle " + frame.name + " is a mesh in this session");
+    if (frame.capsules.empty() || !std::all_of(frame.capsules.begin(), frame.capsules.end(), finite)) {
+      throw_invalid_argument("obstacle " + frame.name + ": capsules need finite ends and radii above 0");
+    }
+    part.capsules = frame.capsules;
   }
   for (const Part& part : parts_) {
     if (!part.present && part.faces.rows() != 0)
@@ -241,38 +326,34 @@ bool ObstacleField::empty() const {
   return std::none_of(parts_.begin(), parts_.end(), [](const Part& part) { return part.present; });
 }
 
-std::vector<Box> ObstacleField::bounds(double margin) const {
-  std::vector<Box> boxes;
+void ObstacleField::append_bounds(double margin, std::vector<Box>& boxes) const {
   for (const Part& part : parts_) {
     if (!part.present) continue;
-    Box box;
-    if (part.mesh == nullptr) {
-      box.extend(part.center, part.radius + margin);
-    } else {
-      for (const auto& corner : {part.mesh->bounds().lower, part.mesh->bounds().upper}) {
-        box.extend(Vec3(static_cast<double>(corner[0]), static_cast<double>(corner[1]), static_cast<double>(corner[2])),
-                   margin);
-      }
+    if (part.mesh != nullptr) {
+      boxes.push_back(widened(part.mesh->bounds(), margin));
+      continue;
     }
-    boxes.push_back(box);
+    for (const Capsule& capsule : part.capsules) {
+      Box box;
+      box.extend(capsule.a, capsule.radius + margin);
+      box.extend(capsule.b, capsule.radius + margin);
+      boxes.push_back(box);
+    }
   }
-  return boxes;
 }
 
 std::optional<ObstacleContact> ObstacleField::contact(const Vec3& p, double reach) const {
   std::optional<ObstacleContact> deepest;
+  const auto consider = [&](const ObstacleContact& found) {
+    if (found.distance <= reach && (!deepest || found.distance < deepest->distance)) deepest = found;
+  };
   for (const Part& part : parts_) {
     if (!part.present) continue;
-    std::optional<ObstacleContact> found;
-    if (part.mesh != nullptr) {
-      found = part.mesh->contact(p, reach);
-    } else {
-      const Vec3 offset = p - part.center;
-      const double length = offset.norm();
-      if (length - part.radius > reach) continue;
-      found = ObstacleContact{length - part.radius, length > 1e-9 ? Vec3(offset / length) : Vec3(Vec3::UnitY())};
+    if (part.mesh == nullptr) {
+      for (const Capsule& capsule : part.capsules) consider(capsule_contact(capsule, p));
+    } else if (const auto found = part.mesh->contact(p, reach)) {
+      consider(*found);
     }
-    if (found && (!deepest || found->distance < deepest->distance)) deepest = found;
   }
   return deepest;
 }
@@ -281,7 +362,9 @@ bool ObstacleField::penetrates(const Positions& positions, const Faces& faces, s
   for (const Part& part : parts_) {
     if (!part.present) continue;
     if (part.mesh == nullptr) {
-      if (part.sphere_contains(part.nearest_to_center(positions, faces, face).second)) return true;
+      for (const Capsule& capsule : part.capsules) {
+        if (reaches_in(capsule, positions, faces, face)) return true;
+      }
       continue;
     }
     const Triangle3f triangle = corners(positions, faces, face);
@@ -303,23 +386,22 @@ std::vector<std::uint32_t> ObstacleField::find(const Positions& positions, const
   return found;
 }
 
-bool ObstacleField::push_face_out(Positions& positions, const Faces& faces, std::uint32_t face,
-                                  double clearance) const {
+bool ObstacleField::push_face_out(Positions& positions, const Faces& faces, std::uint32_t face, double clearance) {
   bool moved = false;
   for (const Part& part : parts_) {
     if (!part.present) continue;
-    if (part.mesh == nullptr) {
-      const auto [weights, nearest] = part.nearest_to_center(positions, faces, face);
-      if (!part.sphere_contains(nearest)) continue;
-      const Vec3 offset = nearest - part.center;
-      const double length = offset.norm();
-      const Vec3 normal = length > 1e-9 ? Vec3(offset / length) : Vec3(Vec3::UnitY());
-      move_point(positions, faces, face, weights, (part.radius + 0.5 * clearance - length) * normal);
+    for (const Capsule& capsule : part.capsules) {
+      const auto found = penetration(capsule, positions, faces, face);
+      if (!found) continue;
+      const ObstacleContact& contact = found->contact;
+      move_point(positions, faces, face, found->weights, (0.5 * clearance - contact.distance) * contact.normal);
       moved = true;
-      continue;
     }
+    if (part.mesh == nullptr) continue;
     // Corners of the obstacle that stick through the face push it along their normals.
-    for (const std::uint32_t v : part.mesh->intersecting_vertices(corners(positions, faces, face))) {
+    corners_.clear();
+    part.mesh->intersecting_vertices(corners(positions, faces, face), corners_);
+    for (const std::uint32_t v : corners_) {
       const Vec3 q = point(part.mesh->positions(), v), normal = part.mesh->vertex_normal(v);
       const Vec3 a = point(positions, faces(face, 0)), b = point(positions, faces(face, 1)),
                  c = point(positions, faces(face, 2));

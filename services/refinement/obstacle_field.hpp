@@ -1,14 +1,16 @@
-// The obstacles of one frame: distances, closest points outside, and which faces reach in.
+// The obstacles of one frame: distances, closest points outside, and which faces of the cloth reach in.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "common/frame/frame.hpp"
 #include "common/mesh/bvh.hpp"
+#include "common/mesh/connectivity.hpp"
 
 namespace pleat {
 
@@ -21,37 +23,71 @@ struct ObstacleContact {
   Eigen::Vector3d normal;  ///< unit, outwards: point + (d - distance) normal is at distance d for small moves
 };
 
+/// Everything nearer than `radius` to the segment a-b. A sphere has a == b.
+struct Capsule {
+  Eigen::Vector3d a, b;
+  double radius;
+};
+
+/// The contact of a point with a capsule, however far. On the axis, where every direction is as good, the normal is
+/// perpendicular to the segment (for a sphere, up).
+ObstacleContact capsule_contact(const Capsule& capsule, const Eigen::Vector3d& p);
+
+/// The point of a triangle that is nearest to a capsule's axis: its barycentric coordinates, and the contact there.
+struct TriangleContact {
+  Eigen::Vector3d weights;
+  ObstacleContact contact;
+};
+TriangleContact capsule_contact(const Capsule& capsule, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
+                                const Eigen::Vector3d& c);
+
+/// Whether a face reaches into a capsule by more than kPenetrationTolerance.
+bool reaches_in(const Capsule& capsule, const Positions& positions, const Faces& faces, std::uint32_t face);
+
 /// A closed triangle mesh as an obstacle. Signs come from angle-weighted normals at the closest feature (Baerentzen and
-/// Aanaes 2005), which is exact for closed meshes.
+/// Aanaes 2005), which is exact for closed meshes. Results depend on the frame alone, not on earlier ones.
 class MeshObstacle {
  public:
   /// Throws kInvalidArgument unless the faces are closed, manifold and consistently oriented.
   MeshObstacle(const Faces& faces, Eigen::Index vertex_count, const std::string& name);
 
+  /// positions: (V x 3). O(F), and a tree at the first call.
   void update(const Positions& positions);
   const Box& bounds() const { return tree_.bounds(); }
+  const Bvh& tree() const { return tree_; }
+  const Faces& faces() const { return faces_; }
   const Positions& positions() const { return positions_; }
 
-  /// The contact of p if p is inside or nearer than `reach` to the surface.
+  /// The contact of p if p is inside or nearer than `reach` to the surface. Finding out that a point deep inside or far
+  /// away is one or the other costs a search for the nearest face.
   std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach) const;
+  /// The contact of p if the surface is nearer than `reach` on either side: cheap where it is not.
+  std::optional<ObstacleContact> contact_near(const Eigen::Vector3d& p, double reach) const;
 
   /// Whether a face of the obstacle intersects the triangle.
   bool intersects(const std::array<Eigen::Vector3f, 3>& triangle) const;
-  /// The obstacle's vertices on faces that intersect the triangle, ascending.
-  std::vector<std::uint32_t> intersecting_vertices(const std::array<Eigen::Vector3f, 3>& triangle) const;
-  Eigen::Vector3d vertex_normal(std::uint32_t vertex) const { return vertex_normals_[vertex]; }
+  /// The obstacle's vertices on faces that intersect the triangle, ascending, appended.
+  void intersecting_vertices(const std::array<Eigen::Vector3f, 3>& triangle, std::vector<std::uint32_t>& out) const;
+  /// Weighted by the angles of the faces; unit.
+  Eigen::Vector3d vertex_normal(std::uint32_t vertex) const;
 
  private:
   template <typename Visit>
   void visit_intersecting(const std::array<Eigen::Vector3f, 3>& triangle, const Visit& visit) const;
+  std::optional<ObstacleContact> nearest(const Eigen::Vector3d& p, double squared_reach) const;
+  Eigen::Vector3d face_normal(std::uint32_t face) const;
 
   Faces faces_;
-  std::vector<std::array<std::uint32_t, 3>> face_edges_;
-  std::size_t edge_count_ = 0;
+  Connectivity connectivity_;
   Positions positions_;
   Bvh tree_;
   std::vector<Box> boxes_;
-  std::vector<Eigen::Vector3d> face_normals_, edge_normals_, vertex_normals_;
+};
+
+/// A capsule set in one frame, for callers that have one: the wire contract knows spheres and meshes.
+struct CapsuleFrame {
+  std::string name;
+  std::vector<Capsule> capsules;
 };
 
 /// All obstacles of a session. One per stream; not for several threads.
@@ -63,14 +99,15 @@ class ObstacleField {
   ObstacleField(ObstacleField&&) noexcept;
   ObstacleField& operator=(ObstacleField&&) noexcept;
 
-  /// The obstacles of a frame; a sphere needs no shape. Throws kInvalidArgument for a mesh without shape or with
-  /// another vertex count, a shape without frame, a negative radius, values that are not finite.
-  void update(std::span<const ObstacleFrame> frames);
+  /// The obstacles of a frame; spheres and capsule sets need no shape. Throws kInvalidArgument for a mesh without shape
+  /// or with another vertex count, a shape without frame, a radius that is not above 0, values that are not finite.
+  void update(std::span<const ObstacleFrame> frames, std::span<const CapsuleFrame> capsules = {});
 
   bool empty() const;
 
-  /// A box around each obstacle and everything nearer to it than `margin`: what is outside all of them is clean.
-  std::vector<Box> bounds(double margin) const;
+  /// Appends boxes around each obstacle and everything nearer to it than `margin`: what is outside all of them is
+  /// clean.
+  void append_bounds(double margin, std::vector<Box>& boxes) const;
 
   /// The deepest contact of p among the obstacles that p is inside of or nearer to than `reach`.
   std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach) const;
@@ -81,13 +118,27 @@ class ObstacleField {
   /// All such faces, ascending.
   std::vector<std::uint32_t> find(const Positions& positions, const Faces& faces) const;
 
-  /// Moves the corners of a face so that it leaves the obstacles that it reaches into, by `clearance` where that is
-  /// known; returns whether it moved any.
-  bool push_face_out(Positions& positions, const Faces& faces, std::uint32_t face, double clearance) const;
+  /// Moves the corners of a face so that it leaves the obstacles that it reaches into, by half of `clearance` where
+  /// that is known; returns whether it moved any.
+  bool push_face_out(Positions& positions, const Faces& faces, std::uint32_t face, double clearance);
+
+  struct Part;
+  const std::vector<Part>& parts() const { return parts_; }
 
  private:
-  struct Part;
+  Part& part_named(const std::string& name);
+
   std::vector<Part> parts_;
+  std::vector<std::uint32_t> corners_;
+};
+
+/// One obstacle: capsules (a sphere is one), or a mesh.
+struct ObstacleField::Part {
+  std::string name;
+  Faces faces;                         ///< of a mesh
+  std::unique_ptr<MeshObstacle> mesh;  ///< made by the first frame, which tells the vertex count
+  std::vector<Capsule> capsules;
+  bool present = false;  ///< in this frame
 };
 
 }  // namespace pleat

@@ -6,134 +6,107 @@
 namespace pleat {
 namespace {
 
-// Weight of standing still against bending: displacements fade over about three edges.
+// Weight of standing still against bending: displacements fade over about four edges.
 constexpr double kStandStill = 1e-3;
 // Moves below this share of the clearance are projected: no wrinkle suffers from them.
 constexpr double kProjectedShare = 0.1;
+// Where the solution has faded to this, metres, the cloth stays as it is.
+constexpr float kFaded = 1e-5f;
+// The solver stops spreading it somewhat later.
+constexpr float kUnread = 0.3f * kFaded;
 constexpr int kProjections = 5;
 constexpr int kFaceSweeps = 12;
 
-struct Violation {
-  std::uint32_t vertex;
-  Eigen::Vector3d move;  // to the clearance
-};
-
-std::vector<std::uint32_t> faces_near(const ObstacleField& field, const SelfIntersectionFinder& finder, double margin) {
-  std::vector<std::uint32_t> faces;
-  for (const Box& box : field.bounds(margin)) {
-    finder.query(box, [&](std::uint32_t f) { faces.push_back(f); });
-  }
-  std::sort(faces.begin(), faces.end());
-  faces.erase(std::unique(faces.begin(), faces.end()), faces.end());
-  return faces;
+// Float positions may miss the clearance by a rounding.
+bool too_near(const VertexContact& c, double clearance) {
+  return c.contact.distance < clearance - kPenetrationTolerance;
 }
 
-std::vector<std::uint32_t> vertices_of(const Faces& faces, const std::vector<std::uint32_t>& some) {
-  std::vector<std::uint32_t> vertices;
-  for (const std::uint32_t f : some) {
-    for (int k = 0; k < 3; ++k) vertices.push_back(faces(f, k));
-  }
-  std::sort(vertices.begin(), vertices.end());
-  vertices.erase(std::unique(vertices.begin(), vertices.end()), vertices.end());
-  return vertices;
-}
-
-std::vector<Violation> find_violations(const Positions& positions, const std::vector<std::uint32_t>& vertices,
-                                       const ObstacleField& field, double clearance) {
-  std::vector<Violation> violations;
-  for (const std::uint32_t v : vertices) {
-    const auto contact = field.contact(positions.row(v).cast<double>(), clearance);
-    // Float positions may miss the clearance by a rounding.
-    if (!contact || contact->distance >= clearance - kPenetrationTolerance) continue;
-    violations.push_back({v, (clearance - contact->distance) * contact->normal});
-  }
-  return violations;
+Eigen::Vector3d required_move(const VertexContact& c, double clearance) {
+  return (clearance - c.contact.distance) * c.contact.normal;
 }
 
 }  // namespace
 
-ObstaclePush::ObstaclePush(Faces faces, Eigen::Index vertex_count, int rounds)
-    : faces_(std::move(faces)), vertex_count_(vertex_count), rounds_(rounds) {}
-
-const SparseCholesky& ObstaclePush::factor() {
-  if (factor_ != nullptr) return *factor_;
-  std::vector<Eigen::Triplet<double>> entries;
-  for (Eigen::Index f = 0; f < faces_.rows(); ++f) {
-    for (int k = 0; k < 3; ++k) {
-      const auto a = static_cast<int>(faces_(f, k)), b = static_cast<int>(faces_(f, (k + 1) % 3));
-      entries.emplace_back(a, b, 1);
-      entries.emplace_back(b, a, 1);
-    }
-  }
-  Eigen::SparseMatrix<double> laplacian(vertex_count_, vertex_count_);
-  // An edge of two faces counts once.
-  laplacian.setFromTriplets(entries.begin(), entries.end(), [](double, double) { return 1.0; });
-  const Eigen::VectorXd degree = laplacian * Eigen::VectorXd::Ones(vertex_count_);
-  laplacian = degree.cwiseMax(1).cwiseInverse().asDiagonal() * laplacian;
-  Eigen::SparseMatrix<double> identity(vertex_count_, vertex_count_);
-  identity.setIdentity();
-  laplacian = identity - laplacian;
-  const Eigen::SparseMatrix<double> bending = laplacian.transpose() * laplacian;
-  factor_ = std::make_unique<SparseCholesky>(bending + kStandStill * identity);
-  return *factor_;
+void ObstaclePush::prepare() {
+  if (!solver_) solver_.emplace(faces_, vertex_count_, kStandStill);
 }
 
-bool ObstaclePush::apply(Positions& positions, const ObstacleField& field, SelfIntersectionFinder& finder,
-                         double clearance) {
+// One smooth displacement of all vertices towards what contacts_ require.
+bool ObstaclePush::solve(Positions& positions, double clearance) {
+  prepare();
+  solver_->begin();
+  for (const VertexContact& c : contacts_) solver_->add_load(c.vertex, required_move(c, clearance).cast<float>());
+  solver_->solve();
+  // The length of the step that comes nearest to all required moves.
+  double along = 0, squared = 0;
+  for (const VertexContact& c : contacts_) {
+    const Eigen::Vector3d u = solver_->displacement(c.vertex).cast<double>();
+    along += u.dot(required_move(c, clearance));
+    squared += u.squaredNorm();
+  }
+  if (!(along > 0 && squared > 0)) return false;
+  const auto scale = static_cast<float>(along / squared);
+  solver_->spread(kUnread / scale);
+  for (std::uint32_t v = 0; v < static_cast<std::uint32_t>(vertex_count_); ++v) {
+    const Eigen::Vector3f move = scale * solver_->displacement(v);
+    if (move.squaredNorm() > kFaded * kFaded) positions.row(v) += move.transpose();
+  }
+  return true;
+}
+
+// Moves what contacts_ require at once, and again where that leads into another obstacle.
+bool ObstaclePush::project(Positions& positions, const ObstacleField& field, double clearance) {
+  const bool any = !contacts_.empty();
+  for (int i = 0; i < kProjections && !contacts_.empty(); ++i) {
+    still_.clear();
+    for (const VertexContact& c : contacts_) {
+      positions.row(c.vertex) += required_move(c, clearance).cast<float>().transpose();
+      const auto contact = field.contact(positions.row(c.vertex).cast<double>(), clearance);
+      if (contact && too_near({c.vertex, *contact}, clearance)) still_.push_back({c.vertex, *contact});
+    }
+    contacts_.swap(still_);
+  }
+  return any;
+}
+
+bool ObstaclePush::apply(Positions& positions, ObstacleField& field, SelfIntersectionFinder& finder,
+                         ClothContacts& contacts, double clearance) {
   if (field.empty()) return false;
-  std::vector<std::uint32_t> near = faces_near(field, finder, clearance);
-  if (near.empty()) return false;
-  std::vector<std::uint32_t> vertices = vertices_of(faces_, near);
-  std::vector<Violation> violations = find_violations(positions, vertices, field, clearance);
-  bool moved = false;
-  const auto worth_a_solve = [&](const Violation& violation) {
-    return violation.move.squaredNorm() > std::pow(kProjectedShare * clearance, 2);
+  const auto find_contacts = [&] {
+    contacts.find_contacts(positions, field, finder, clearance, contacts_);
+    std::erase_if(contacts_, [&](const VertexContact& c) { return !too_near(c, clearance); });
   };
-  for (int round = 0; round < rounds_ && std::any_of(violations.begin(), violations.end(), worth_a_solve); ++round) {
-    Eigen::MatrixXd load = Eigen::MatrixXd::Zero(vertex_count_, 3);
-    for (const Violation& violation : violations) load.row(violation.vertex) = violation.move;
-    const Eigen::MatrixXd u = factor().solve(load);
-    // The length of the step that comes nearest to all required moves.
-    double along = 0, squared = 0;
-    for (const Violation& violation : violations) {
-      along += u.row(violation.vertex).dot(violation.move);
-      squared += u.row(violation.vertex).squaredNorm();
-    }
-    if (!(along > 0 && squared > 0)) break;
-    positions += ((along / squared) * u).cast<float>();
-    moved = true;
+  const auto update = [&] {
     finder.update(positions);
-    near = faces_near(field, finder, clearance);
-    vertices = vertices_of(faces_, near);
-    violations = find_violations(positions, vertices, field, clearance);
-  }
-  for (int i = 0; i < kProjections && !violations.empty(); ++i) {
-    std::vector<std::uint32_t> projected;
-    for (const Violation& violation : violations) {
-      positions.row(violation.vertex) += violation.move.cast<float>().transpose();
-      projected.push_back(violation.vertex);
-    }
+    contacts.update(positions, field, finder);
+  };
+  bool moved = false;
+  find_contacts();
+  const auto worth_a_solve = [&](const VertexContact& c) {
+    return clearance - c.contact.distance > kProjectedShare * clearance;
+  };
+  for (int round = 0; round < rounds_ && std::any_of(contacts_.begin(), contacts_.end(), worth_a_solve); ++round) {
+    if (!solve(positions, clearance)) break;
     moved = true;
-    violations = find_violations(positions, projected, field, clearance);
+    update();
+    find_contacts();
   }
-  if (moved) finder.update(positions);
+  if (project(positions, field, clearance)) {
+    moved = true;
+    update();
+  }
   for (int sweep = 0; sweep < kFaceSweeps; ++sweep) {
+    contacts.find_penetrations(positions, field, finder, penetrating_);
     bool pushed = false;
-    for (const std::uint32_t f : find_penetrations(positions, field, finder)) {
+    for (const std::uint32_t f : penetrating_) {
       pushed = field.push_face_out(positions, faces_, f, clearance) || pushed;
     }
     if (!pushed) break;
     moved = true;
-    finder.update(positions);
+    update();
   }
   return moved;
-}
-
-std::vector<std::uint32_t> find_penetrations(const Positions& positions, const ObstacleField& field,
-                                             const SelfIntersectionFinder& finder) {
-  std::vector<std::uint32_t> faces = field.empty() ? std::vector<std::uint32_t>{} : faces_near(field, finder, 0);
-  std::erase_if(faces, [&](std::uint32_t f) { return !field.penetrates(positions, finder.faces(), f); });
-  return faces;
 }
 
 }  // namespace pleat

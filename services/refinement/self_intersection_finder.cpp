@@ -2,11 +2,13 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <atomic>
 #include <string>
 
 #include "common/base/error.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/triangle_intersection.hpp"
+#include "services/refinement/for_ranges.hpp"
 
 namespace pleat {
 namespace {
@@ -14,6 +16,12 @@ namespace {
 // How far from zero, relative to the lengths, an orientation in float arithmetic is trusted: the rounding error is
 // below 1e-6.
 constexpr float kOrientationMargin = 1e-5f;
+// The search is cut into about 140 parts of the tree, and patches by the hundred.
+constexpr int kTreeLevels = 4;
+constexpr std::size_t kPatchesPerPart = 128;
+constexpr std::size_t kFacesPerRange = 2048;
+// A search of moved patches alone pays if they are fewer than one in this many.
+constexpr std::size_t kMovedShare = 3;
 
 // The corners are floats, so that their box needs no rounding.
 Box face_box(const Positions& positions, const Faces& faces, std::uint32_t face) {
@@ -59,8 +67,8 @@ bool is_disk(std::vector<std::array<std::uint32_t, 2>> ring) {
 }  // namespace
 
 SelfIntersectionFinder::SelfIntersectionFinder(const Faces& faces, Eigen::Index vertex_count,
-                                               const Faces& patch_corners)
-    : faces_(faces), patch_corners_(patch_corners) {
+                                               const Faces& patch_corners, ThreadPool* pool)
+    : pool_(pool), faces_(faces), patch_corners_(patch_corners) {
   if (patch_corners.rows() == 0 || faces.rows() == 0 || faces.rows() % patch_corners.rows() != 0) {
     throw_invalid_argument("self-intersections: " + std::to_string(faces.rows()) + " faces in " +
                            std::to_string(patch_corners.rows()) + " patches");
@@ -71,7 +79,12 @@ SelfIntersectionFinder::SelfIntersectionFinder(const Faces& faces, Eigen::Index 
   patch_size_ = static_cast<std::uint32_t>(faces.rows() / patch_corners.rows());
   boxes_.resize(static_cast<std::size_t>(faces.rows()));
   patch_boxes_.resize(static_cast<std::size_t>(patch_corners.rows()));
+  normals_.resize(boxes_.size());
+  build_incidence(vertex_count);
   build_umbrellas(vertex_count);
+  injective_.resize(umbrellas_.size());
+  is_moved_.assign(patch_boxes_.size(), 0);
+  corner_used_.assign(umbrellas_.size(), 0);
 }
 
 void SelfIntersectionFinder::build_umbrellas(Eigen::Index vertex_count) {
@@ -118,41 +131,69 @@ void SelfIntersectionFinder::fit_patch(std::uint32_t patch) {
 void SelfIntersectionFinder::refit() {
   if (tree_.empty()) {
     tree_ = Bvh(patch_boxes_);
+    tree_parts_ = tree_.self_pair_parts(kTreeLevels);
+    parts_.resize(tree_parts_.size() + (patch_boxes_.size() + kPatchesPerPart - 1) / kPatchesPerPart);
   } else {
     tree_.refit(patch_boxes_);
   }
 }
 
 void SelfIntersectionFinder::update(const Positions& positions) {
-  for (std::uint32_t f = 0; f < boxes_.size(); ++f) boxes_[f] = face_box(positions, faces_, f);
-  for (std::uint32_t p = 0; p < patch_boxes_.size(); ++p) fit_patch(p);
+  for_ranges(pool_, patch_boxes_.size(), std::max<std::size_t>(1, kFacesPerRange / patch_size_),
+             [&](std::size_t begin, std::size_t end) {
+               for (std::size_t f = begin * patch_size_; f < end * patch_size_; ++f) {
+                 boxes_[f] = face_box(positions, faces_, static_cast<std::uint32_t>(f));
+               }
+               for (std::size_t p = begin; p < end; ++p) fit_patch(static_cast<std::uint32_t>(p));
+             });
   refit();
 }
 
-void SelfIntersectionFinder::update(const Positions& positions, std::span<const std::uint32_t> moved_faces) {
-  for (const std::uint32_t f : moved_faces) boxes_[f] = face_box(positions, faces_, f);
-  for (const std::uint32_t f : moved_faces) fit_patch(f / patch_size_);
-  refit();
-}
-
-void SelfIntersectionFinder::update_swept(const Positions& start, const Positions& end,
-                                          std::span<const std::uint32_t> moving_faces) {
-  for (const std::uint32_t f : moving_faces) {
-    boxes_[f] = face_box(start, faces_, f);
-    boxes_[f].extend(face_box(end, faces_, f));
+void SelfIntersectionFinder::build_incidence(Eigen::Index vertex_count) {
+  std::vector<std::vector<std::uint32_t>> at(static_cast<std::size_t>(vertex_count));
+  for (std::uint32_t f = 0; f < boxes_.size(); ++f) {
+    for (int k = 0; k < 3; ++k) {
+      auto& list = at[faces_(f, k)];
+      if (list.empty() || list.back() != patch_of(f)) list.push_back(patch_of(f));
+    }
   }
-  for (const std::uint32_t f : moving_faces) fit_patch(f / patch_size_);
-  refit();
+  vertex_patch_offsets_.push_back(0);
+  for (const auto& list : at) {
+    vertex_patches_.insert(vertex_patches_.end(), list.begin(), list.end());
+    vertex_patch_offsets_.push_back(static_cast<std::uint32_t>(vertex_patches_.size()));
+  }
 }
 
-bool SelfIntersectionFinder::is_injective(const Umbrella& umbrella, const Positions& positions,
-                                          const std::vector<std::array<float, 4>>& normals) const {
+void SelfIntersectionFinder::update_patches(const Positions& positions, std::span<const std::uint32_t> patches) {
+  for (const std::uint32_t p : patches) {
+    const auto [first, last] = patch_faces(p);
+    for (std::uint32_t f = first; f < last; ++f) boxes_[f] = face_box(positions, faces_, f);
+    measure_normals(positions, first, last);
+    fit_patch(p);
+  }
+  tree_.refit(patch_boxes_);
+  corners_.clear();
+  for (const std::uint32_t p : patches) {
+    for (int k = 0; k < 3; ++k) {
+      const std::uint32_t corner = patch_corners_(p, k);
+      if (corner_used_[corner] != 0) continue;
+      corner_used_[corner] = 1;
+      corners_.push_back(corner);
+    }
+  }
+  for (const std::uint32_t corner : corners_) {
+    corner_used_[corner] = 0;
+    injective_[corner] = is_injective(umbrellas_[corner], positions);
+  }
+}
+
+bool SelfIntersectionFinder::is_injective(const Umbrella& umbrella, const Positions& positions) const {
   if (umbrella.edge_count == 0) return false;
   const std::span patches(umbrella_patches_.data() + umbrella.first_patch, umbrella.patch_count);
   Eigen::Vector3f direction = Eigen::Vector3f::Zero();
   for (const std::uint32_t p : patches) {
     for (std::uint32_t f = p * patch_size_; f < (p + 1) * patch_size_; ++f) {
-      direction += Eigen::Vector3f(normals[f][0], normals[f][1], normals[f][2]);
+      direction += Eigen::Vector3f(normals_[f][0], normals_[f][1], normals_[f][2]);
     }
   }
   const float length = direction.norm();
@@ -160,7 +201,7 @@ bool SelfIntersectionFinder::is_injective(const Umbrella& umbrella, const Positi
   direction /= length;
   for (const std::uint32_t p : patches) {
     for (std::uint32_t f = p * patch_size_; f < (p + 1) * patch_size_; ++f) {
-      const auto& n = normals[f];
+      const auto& n = normals_[f];
       if (!(n[0] * direction.x() + n[1] * direction.y() + n[2] * direction.z() > kOrientationMargin * n[3]))
         return false;
     }
@@ -181,11 +222,10 @@ bool SelfIntersectionFinder::is_injective(const Umbrella& umbrella, const Positi
   return turns == 1;
 }
 
-bool SelfIntersectionFinder::excluded(std::uint32_t patch_a, std::uint32_t patch_b,
-                                      const std::vector<std::uint8_t>& injective) const {
+bool SelfIntersectionFinder::excluded(std::uint32_t patch_a, std::uint32_t patch_b) const {
   for (int i = 0; i < 3; ++i) {
     const std::uint32_t corner = patch_corners_(patch_a, i);
-    if (injective[corner] == 0) continue;
+    if (injective_[corner] == 0) continue;
     for (int j = 0; j < 3; ++j) {
       if (corner == patch_corners_(patch_b, j)) return true;
     }
@@ -193,50 +233,119 @@ bool SelfIntersectionFinder::excluded(std::uint32_t patch_a, std::uint32_t patch
   return false;
 }
 
-bool SelfIntersectionFinder::find(const Positions& positions, std::size_t limit, std::vector<FacePair>& out) const {
-  const std::size_t first = out.size();
-  // Normals of twice the area, and a bound of the product of the edge lengths that they come from.
-  std::vector<std::array<float, 4>> normals(boxes_.size());
-  for (std::size_t f = 0; f < normals.size(); ++f) {
+void SelfIntersectionFinder::measure_normals(const Positions& positions, std::size_t first, std::size_t last) {
+  for (std::size_t f = first; f < last; ++f) {
     const auto row = static_cast<Eigen::Index>(f);
     const Eigen::Vector3f a = positions.row(faces_(row, 0)), b = positions.row(faces_(row, 1)),
                           c = positions.row(faces_(row, 2));
     const Eigen::Vector3f u = b - a, v = c - a;
     const Eigen::Vector3f n = u.cross(v);
-    normals[f] = {n.x(), n.y(), n.z(), u.squaredNorm() + v.squaredNorm()};
+    normals_[f] = {n.x(), n.y(), n.z(), u.squaredNorm() + v.squaredNorm()};
   }
-  std::vector<std::uint8_t> injective(umbrellas_.size());
-  for (std::size_t v = 0; v < umbrellas_.size(); ++v) injective[v] = is_injective(umbrellas_[v], positions, normals);
+}
 
-  const auto test = [&](std::uint32_t a, std::uint32_t b) {
-    if (!boxes_[a].overlaps(boxes_[b]) || !faces_intersect(positions, faces_, a, b)) return true;
-    if (out.size() - first >= limit) return false;
-    out.push_back({std::min(a, b), std::max(a, b)});
-    return true;
-  };
-  const auto inside_patch = [&](std::uint32_t patch) {
-    if (patch_size_ == 1 || excluded(patch, patch, injective)) return true;
-    for (std::uint32_t a = patch * patch_size_; a < (patch + 1) * patch_size_; ++a) {
-      for (std::uint32_t b = a + 1; b < (patch + 1) * patch_size_; ++b) {
+// Collects the pairs of one part of the mesh; all searches of one find() stop together at the limit.
+class SelfIntersectionFinder::Search {
+ public:
+  Search(const SelfIntersectionFinder& finder, const Positions& positions, std::size_t limit,
+         std::atomic<std::size_t>& count, std::vector<FacePair>& pairs)
+      : finder_(finder), positions_(positions), limit_(limit), count_(count), pairs_(pairs) {}
+
+  // Returns false once there are more pairs than the limit.
+  bool inside_patch(std::uint32_t patch) {
+    if (finder_.patch_size_ == 1 || finder_.excluded(patch, patch)) return true;
+    const auto [first, last] = finder_.patch_faces(patch);
+    for (std::uint32_t a = first; a < last; ++a) {
+      for (std::uint32_t b = a + 1; b < last; ++b) {
         if (!test(a, b)) return false;
       }
     }
     return true;
-  };
-  bool complete = true;
-  for (std::uint32_t p = 0; complete && p < patch_boxes_.size(); ++p) complete = inside_patch(p);
-  complete = complete && tree_.visit_self_pairs([&](std::uint32_t p, std::uint32_t q) {
-    if (excluded(p, q, injective)) return true;
-    for (std::uint32_t a = p * patch_size_; a < (p + 1) * patch_size_; ++a) {
-      if (!boxes_[a].overlaps(patch_boxes_[q])) continue;
-      for (std::uint32_t b = q * patch_size_; b < (q + 1) * patch_size_; ++b) {
+  }
+
+  bool between_patches(std::uint32_t p, std::uint32_t q) {
+    if (finder_.excluded(p, q)) return true;
+    const auto [first_p, last_p] = finder_.patch_faces(p);
+    const auto [first_q, last_q] = finder_.patch_faces(q);
+    for (std::uint32_t a = first_p; a < last_p; ++a) {
+      if (!finder_.boxes_[a].overlaps(finder_.patch_boxes_[q])) continue;
+      for (std::uint32_t b = first_q; b < last_q; ++b) {
         if (!test(a, b)) return false;
       }
     }
     return true;
+  }
+
+ private:
+  bool test(std::uint32_t a, std::uint32_t b) {
+    if (!finder_.boxes_[a].overlaps(finder_.boxes_[b]) || !faces_intersect(positions_, finder_.faces_, a, b)) {
+      return true;
+    }
+    if (count_.fetch_add(1) >= limit_) return false;
+    pairs_.push_back({std::min(a, b), std::max(a, b)});
+    return true;
+  }
+
+  const SelfIntersectionFinder& finder_;
+  const Positions& positions_;
+  std::size_t limit_;
+  std::atomic<std::size_t>& count_;
+  std::vector<FacePair>& pairs_;
+};
+
+bool SelfIntersectionFinder::find(const Positions& positions, std::size_t limit, std::vector<FacePair>& pairs) {
+  for_ranges(pool_, boxes_.size(), kFacesPerRange,
+             [&](std::size_t begin, std::size_t end) { measure_normals(positions, begin, end); });
+  for_ranges(pool_, umbrellas_.size(), 256, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t v = begin; v < end; ++v) injective_[v] = is_injective(umbrellas_[v], positions);
   });
-  std::sort(out.begin() + static_cast<std::ptrdiff_t>(first), out.end());
-  return complete;
+  std::atomic<std::size_t> count{0};
+  for_ranges(pool_, parts_.size(), 4, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      Part& part = parts_[i];
+      part.pairs.clear();
+      if (count.load() > limit) continue;
+      Search search(*this, positions, limit, count, part.pairs);
+      if (i < tree_parts_.size()) {
+        tree_.visit_self_pairs(tree_parts_[i], part.stack,
+                               [&](std::uint32_t p, std::uint32_t q) { return search.between_patches(p, q); });
+        continue;
+      }
+      const std::size_t first = (i - tree_parts_.size()) * kPatchesPerPart;
+      const std::size_t last = std::min(first + kPatchesPerPart, patch_boxes_.size());
+      for (std::size_t p = first; p < last; ++p) {
+        if (!search.inside_patch(static_cast<std::uint32_t>(p))) break;
+      }
+    }
+  });
+  pairs.clear();
+  for (const Part& part : parts_) pairs.insert(pairs.end(), part.pairs.begin(), part.pairs.end());
+  std::sort(pairs.begin(), pairs.end());
+  return count.load() <= limit;
+}
+
+bool SelfIntersectionFinder::find_again(const Positions& positions, std::span<const std::uint32_t> moved,
+                                        std::size_t limit, std::vector<FacePair>& pairs) {
+  if (kMovedShare * moved.size() > patch_boxes_.size()) {
+    update(positions);
+    return find(positions, limit, pairs);
+  }
+  update_patches(positions, moved);
+  for (const std::uint32_t p : moved) is_moved_[p] = 1;
+  std::erase_if(
+      pairs, [&](const FacePair& pair) { return (is_moved_[patch_of(pair[0])] | is_moved_[patch_of(pair[1])]) != 0; });
+  std::atomic<std::size_t> count{pairs.size()};
+  Search search(*this, positions, limit, count, pairs);
+  bool complete = true;
+  for (const std::uint32_t p : moved) {
+    complete = complete && search.inside_patch(p);
+    tree_.query(patch_boxes_[p], [&](std::uint32_t q) {
+      if (is_moved_[q] == 0 || p < q) complete = complete && search.between_patches(p, q);
+    });
+  }
+  for (const std::uint32_t p : moved) is_moved_[p] = 0;
+  std::sort(pairs.begin(), pairs.end());
+  return complete && pairs.size() <= limit;
 }
 
 }  // namespace pleat

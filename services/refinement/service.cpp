@@ -24,6 +24,7 @@ struct Session {
   std::vector<ObstacleShape> obstacles;
   Eigen::Index coarse_vertices = 0, fine_vertices = 0;
   std::unique_ptr<Refiner> refiner;
+  RefinedMesh result;  // reused; the frames of a stream come one after the other
 };
 
 std::shared_ptr<Session> open_session(const v1::RefineOpen& open, const ServiceOptions& options,
@@ -53,6 +54,7 @@ std::shared_ptr<Session> open_session(const v1::RefineOpen& open, const ServiceO
   }
   RefinementOptions refinement;
   refinement.bisections = options.bisections;
+  refinement.threads = options.threads;
   if (open.has_clearance_m()) refinement.clearance_m = static_cast<double>(open.clearance_m());
   session->coarse_vertices = coarse.vertex_count();
   session->fine_vertices = subdivision.fine.vertex_count();
@@ -88,7 +90,8 @@ void refine(Session& session, const v1::RefineFrame& request, v1::RefinedFrame* 
   const Positions fine = positions_from_message(request.fine(), session.fine_vertices, "frame.fine");
   const std::vector<ObstacleFrame> obstacles =
       obstacles_from_messages(request.obstacles(), session.obstacles, "frame.obstacles");
-  const RefinedMesh result = session.refiner->refine(coarse, fine, obstacles);
+  const RefinedMesh& result = session.result;
+  session.refiner->refine(coarse, fine, obstacles, session.result);
   v1::Frame* refined = response->mutable_fine();
   refined->set_index(request.fine().index());
   refined->set_time_s(request.fine().time_s());

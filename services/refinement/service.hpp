@@ -12,7 +12,8 @@ namespace pleat::refinement {
 
 struct ServiceOptions {
   std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session
-  int bisections = 6;                     ///< halvings of the interpolation weight of an impact zone
+  int bisections = 5;                     ///< weights of impact zones are found to 2^-bisections
+  int threads = 0;                        ///< of a session; 0: as many as there are processors
 };
 
 /// Streams are independent of each other; frames of a stream need nothing of earlier ones.

@@ -79,6 +79,53 @@ TEST(Bvh, SelfPairsAgreeWithBruteForce) {
   }
 }
 
+TEST(Bvh, PartsOfTheTraversalGiveEveryPairOnce) {
+  for (const std::size_t count : {1u, 2u, 5u, 700u}) {
+    Bvh bvh(random_boxes(count, 0.2, 3));
+    for (const int levels : {0, 1, 4}) {
+      const auto parts = bvh.self_pair_parts(levels);
+      const auto boxes = random_boxes(count, 0.2, 7);  // the parts do not depend on the boxes
+      bvh.refit(boxes);
+      EXPECT_EQ(bvh.self_pair_parts(levels), parts);
+      std::vector<Bvh::Pair> visited, stack;
+      for (const Bvh::Pair& part : parts) {
+        bvh.visit_self_pairs(part, stack, [&](std::uint32_t i, std::uint32_t j) {
+          visited.push_back({i, j});
+          return true;
+        });
+      }
+      EXPECT_EQ(sorted(visited), brute_force(boxes)) << count << " boxes, " << levels << " levels";
+    }
+  }
+}
+
+TEST(Bvh, NearestVisitsTheNearestAndLittleElse) {
+  const auto boxes = random_boxes(2000, 0.02, 11);
+  const Bvh bvh(boxes);
+  std::mt19937 engine(12);
+  std::uniform_real_distribution<double> position(-1.5, 1.5);
+  std::size_t visits = 0;
+  for (int i = 0; i < 200; ++i) {
+    const Eigen::Vector3d p(position(engine), position(engine), position(engine));
+    double expected = 1e9;
+    for (const Box& box : boxes) expected = std::min(expected, squared_distance(box, p));
+    double best = 1e9;
+    bvh.nearest(p, best, [&](std::uint32_t e) {
+      ++visits;
+      return best = std::min(best, squared_distance(boxes[e], p));
+    });
+    EXPECT_EQ(best, expected);
+    bool any = false;
+    bvh.nearest(p, 0.9 * expected, [&](std::uint32_t) {
+      any = true;
+      return 0.0;
+    });
+    EXPECT_EQ(any, expected == 0);  // nothing is nearer than the bound
+  }
+  EXPECT_LT(visits, 200u * 40u);
+  Bvh().nearest({0, 0, 0}, 1, [](std::uint32_t) -> double { throw std::logic_error("nothing to visit"); });
+}
+
 TEST(Bvh, RefitFollowsMovedBoxes) {
   Bvh bvh(random_boxes(500, 0.1, 3));
   const auto moved = random_boxes(500, 0.3, 4);  // a tree built for other places must still be right

@@ -40,6 +40,29 @@ TEST(SparseCholesky, SolvesManyRightSidesFromTwoThreads) {
   EXPECT_LT((second - x).cwiseAbs().maxCoeff(), 1e-12);
 }
 
+TEST(SparseCholesky, TheTriangleIsTheFactorOfThePermutedMatrix) {
+  for (const int n : {2, 7, 60}) {  // small ones are factorised in another way
+    const Eigen::SparseMatrix<double> a = grid_laplacian(n, 4.1);
+    const SparseCholesky solver(a);
+    const SparseCholesky::Triangle triangle = solver.triangle();
+    const Eigen::SparseMatrix<double> product = triangle.lower * triangle.lower.transpose();
+    ASSERT_EQ(triangle.permutation.size(), static_cast<std::size_t>(n * n));
+    double worst = 0;
+    for (int j = 0; j < n * n; ++j) {
+      for (Eigen::SparseMatrix<double>::InnerIterator entry(product, j); entry; ++entry) {
+        const double expected = a.coeff(triangle.permutation[static_cast<std::size_t>(entry.row())],
+                                        triangle.permutation[static_cast<std::size_t>(j)]);
+        worst = std::max(worst, std::abs(entry.value() - expected));
+      }
+      EXPECT_EQ(triangle.lower.innerIndexPtr()[triangle.lower.outerIndexPtr()[j]], j);
+    }
+    EXPECT_LT(worst, 1e-12);
+    EXPECT_NEAR(product.sum(), a.sum(), 1e-9);
+    const Eigen::VectorXd ones = Eigen::VectorXd::Ones(n * n);
+    EXPECT_LT((solver.solve(a * ones) - ones).norm(), 1e-9);  // the solver is still whole
+  }
+}
+
 TEST(SparseCholesky, RefusesAnIndefiniteMatrix) { EXPECT_THROW(SparseCholesky(grid_laplacian(5, -1)), Error); }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <limits>
+#include <random>
 
 #include "common/base/error.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
@@ -37,7 +38,6 @@ TEST_P(NoisyCloth, FindsExactlyThePairsOfTheSweep) {
   }
   if (sigma == 0.004f) {
     EXPECT_GT(expected.size(), 50u);
-    pairs.clear();
     EXPECT_FALSE(by_patch.find(x, 10, pairs));
     EXPECT_EQ(pairs.size(), 10u);
   }
@@ -55,6 +55,37 @@ TEST(Finder, FollowsAMovingMesh) {
     finder.find(x, kMaxReportedPairs, pairs);
     EXPECT_EQ(pairs, test::sweep_self_intersections(x, faces)) << frame;
   }
+}
+
+TEST(Finder, SearchesMovedPatchesAgain) {
+  const test::Cloth cloth = load_cloth("tablecloth");
+  const Faces& faces = cloth.fine().faces;
+  ThreadPool pool(2);
+  SelfIntersectionFinder again(faces, cloth.fine().vertex_count(), cloth.coarse.faces, &pool);
+  Positions x = test::wavy(cloth.fine().rest_positions) + test::noise(cloth.fine().vertex_count(), 0.003f, 1);
+  again.update(x);
+  std::vector<FacePair> pairs;
+  ASSERT_TRUE(again.find(x, kMaxReportedPairs, pairs));
+  std::mt19937 random(5);
+  std::uniform_real_distribution<float> uniform(-0.03f, 0.03f);
+  std::size_t changed = 0;
+  for (const int vertices : {0, 1, 3, 20, 2, 700, 1, 10}) {  // 700 touch most patches
+    std::vector<std::uint32_t> moved;
+    for (int i = 0; i < vertices; ++i) {
+      const auto v = static_cast<std::uint32_t>(random() % static_cast<std::size_t>(x.rows()));
+      x.row(v) += Eigen::RowVector3f(uniform(random), uniform(random), uniform(random));
+      const auto patches = again.patches_at(v);
+      moved.insert(moved.end(), patches.begin(), patches.end());
+    }
+    std::sort(moved.begin(), moved.end());
+    moved.erase(std::unique(moved.begin(), moved.end()), moved.end());
+    const std::vector<FacePair> earlier = pairs;
+    ASSERT_TRUE(again.find_again(x, moved, kMaxReportedPairs, pairs));
+    EXPECT_EQ(pairs, test::sweep_self_intersections(x, faces)) << vertices;
+    changed += pairs != earlier;
+  }
+  EXPECT_GT(changed, 4u);
+  EXPECT_FALSE(again.find_again(x, {}, pairs.size() - 1, pairs));
 }
 
 TEST(Finder, ACrumpledSheetWithManyFolds) {

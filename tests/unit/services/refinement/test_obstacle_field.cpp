@@ -92,6 +92,69 @@ TEST(ObstacleField, FacesInsideAcrossAndAroundAMesh) {
   EXPECT_EQ(count_penetrations(x, faces, shapes, frames), 0u);
 }
 
+TEST(Capsules, FacesAgreeWithAScan) {
+  std::mt19937 random(6);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  const auto any = [&] { return Eigen::Vector3d(uniform(random), uniform(random), uniform(random)); };
+  int pierced = 0;
+  for (int i = 0; i < 400; ++i) {
+    Capsule capsule{any(), any(), 0.1 + 0.05 * uniform(random)};
+    if (i % 4 == 0) capsule.b = capsule.a;  // a sphere
+    const Eigen::Vector3d a = any(), b = any(), c = any();
+    constexpr int kSteps = 24;
+    double nearest = 1e9;
+    for (int j = 0; j <= kSteps; ++j) {
+      for (int k = 0; j + k <= kSteps; ++k) {
+        const Eigen::Vector3d p = (j * a + k * b + (kSteps - j - k) * c) / kSteps;
+        for (int s = 0; s <= kSteps; ++s) {
+          nearest = std::min(nearest, (p - capsule.a - (capsule.b - capsule.a) * s / kSteps).norm());
+        }
+        // A point by itself.
+        if (j + k > 2) continue;
+        const ObstacleContact contact = capsule_contact(capsule, p);
+        EXPECT_NEAR(capsule_contact(capsule, p - contact.distance * contact.normal).distance, 0, 1e-12);
+      }
+    }
+    const TriangleContact found = capsule_contact(capsule, a, b, c);
+    EXPECT_NEAR(found.weights.sum(), 1, 1e-12);
+    EXPECT_GE(found.weights.minCoeff(), 0);
+    const Eigen::Vector3d p = found.weights[0] * a + found.weights[1] * b + found.weights[2] * c;
+    EXPECT_NEAR(capsule_contact(capsule, p).distance, found.contact.distance, 1e-9);
+    EXPECT_LE(found.contact.distance + capsule.radius, nearest + 1e-12);
+    EXPECT_GE(found.contact.distance + capsule.radius, nearest - 0.15);  // the scan's spacing
+    EXPECT_NEAR(found.contact.normal.norm(), 1, 1e-12);
+    pierced += found.contact.distance + capsule.radius < 1e-9;
+  }
+  EXPECT_GT(pierced, 10);
+}
+
+TEST(Capsules, ASetIsTheUnionOfItsParts) {
+  ObstacleField field({});
+  const std::vector<CapsuleFrame> limbs{{"arm", {{{0, 0, 0}, {1, 0, 0}, 0.1}, {{1, 0, 0}, {1, 1, 0}, 0.2}}}};
+  field.update({}, limbs);
+  EXPECT_FALSE(field.empty());
+  EXPECT_NEAR(field.contact({0.5, 0.3, 0}, 1)->distance, 0.2, 1e-12);
+  EXPECT_NEAR(field.contact({1, 0.5, 0}, 0)->distance, -0.2, 1e-12);
+  EXPECT_FALSE(field.contact({0.5, 0.3, 0}, 0.1));
+  std::vector<Box> bounds;
+  field.append_bounds(0.05, bounds);
+  EXPECT_EQ(bounds.size(), 2u);
+  Positions x(3, 3);
+  Faces faces(1, 3);
+  faces << 0, 1, 2;
+  x << 0.5f, 0.15f, -1, 0.5f, 0.15f, 1, 0.2f, 0.15f, 0;  // above the thin one
+  EXPECT_FALSE(field.penetrates(x, faces, 0));
+  x.row(2) << 1.2f, 0.15f, 0;  // into the thick one
+  EXPECT_TRUE(field.penetrates(x, faces, 0));
+  EXPECT_TRUE(field.push_face_out(x, faces, 0, 0.002));
+  for (int i = 0; i < 20 && field.penetrates(x, faces, 0); ++i) field.push_face_out(x, faces, 0, 0.002);
+  EXPECT_FALSE(field.penetrates(x, faces, 0));
+  EXPECT_THROW(field.update({}, std::vector<CapsuleFrame>{{"arm", {}}}), Error);
+  EXPECT_THROW(field.update({}, std::vector<CapsuleFrame>{{"arm", {{{0, 0, 0}, {1, 0, 0}, 0}}}}), Error);
+  field.update({});
+  EXPECT_TRUE(field.empty());
+}
+
 TEST(ObstacleField, BadObstaclesAreRefused) {
   const test::ClosedMesh cube = test::cube(0.4f);
   const auto update = [](std::vector<ObstacleShape> shapes, std::vector<ObstacleFrame> frames) {

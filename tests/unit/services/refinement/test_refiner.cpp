@@ -120,6 +120,105 @@ TEST_P(Adversarial, NoiseAndASphere) {
   EXPECT_LT(test::sphere_depth(result.positions, cloth.fine().faces, ball.center, ball.radius), 1.1e-6);
 }
 
+// Two balls that overlap, on the same side of the cloth: the fine mesh is in both, and in the wedge between them.
+TEST_P(Adversarial, TwoObstaclesThatOverlap) {
+  const Ball ball = ball_beside(coarse, cloth.coarse.faces);
+  const Eigen::Vector3f aside = 0.2f * ball.normal.unitOrthogonal();
+  std::vector<ObstacleFrame> obstacles{test::sphere("left", ball.center - aside, ball.radius),
+                                       test::sphere("right", ball.center + aside, ball.radius)};
+  ASSERT_LT((2 * aside).norm(), 2 * ball.radius);
+  // The nearest of them must leave the coarse mesh clean.
+  while (count_penetrations(coarse, cloth.coarse.faces, {}, obstacles) > 0) {
+    for (ObstacleFrame& obstacle : obstacles) obstacle.center += 0.01f * ball.normal;
+  }
+  Positions fine = upsampled;
+  for (Eigen::Index v = 0; v < fine.rows(); ++v) {
+    fine.row(v) +=
+        0.1f * std::exp(-20 * (fine.row(v).transpose() - ball.touch).squaredNorm()) * ball.normal.transpose();
+  }
+  const RefinedMesh result = refiner.refine(coarse, fine, obstacles);
+  EXPECT_GT(result.report.penetrations_before, 50u);
+  expect_clean(result, cloth.fine().faces);
+  for (const ObstacleFrame& obstacle : obstacles) {
+    EXPECT_LT(test::sphere_depth(result.positions, cloth.fine().faces, obstacle.center, obstacle.radius), 1.1e-6);
+  }
+}
+
+// The coarse cloth itself is nearer to the ball than the clearance: that can't be kept, but the frame must be clean.
+TEST_P(Adversarial, LessRoomThanTheClearance) {
+  const Ball ball = ball_beside(coarse, cloth.coarse.faces);
+  const Eigen::Vector3f center = ball.touch + ball.radius * ball.normal;
+  float radius = ball.radius;
+  const auto obstacles = [&] { return std::vector<ObstacleFrame>{test::sphere("ball", center, radius)}; };
+  while (count_penetrations(coarse, cloth.coarse.faces, {}, obstacles()) > 0) radius -= 1e-4f;
+  Refiner wide(cloth.coarse, cloth.subdivision, {}, {.clearance_m = 0.05});
+  const RefinedMesh result = wide.refine(coarse, upsampled + test::noise(upsampled.rows(), 0.003f, 4), obstacles());
+  expect_clean(result, cloth.fine().faces);
+  EXPECT_FALSE(result.report.input_intersects);
+  EXPECT_LT(test::sphere_depth(result.positions, cloth.fine().faces, center, radius), 1.1e-6);
+}
+
+// Two layers and an obstacle between them that is thicker than the gap less twice the clearance.
+TEST(Refiner, AnObstacleBetweenTwoLayers) {
+  Cloth cloth;
+  Topology sheet = test::square_sheet(12, 1);
+  const Eigen::Index v = sheet.vertex_count(), f = sheet.face_count();
+  cloth.coarse = sheet;
+  cloth.coarse.rest_positions.conservativeResize(2 * v, 3);
+  cloth.coarse.rest_positions.bottomRows(v) = sheet.rest_positions;
+  cloth.coarse.rest_positions.bottomRows(v).col(1).array() += 0.101f;
+  cloth.coarse.faces.conservativeResize(2 * f, 3);
+  cloth.coarse.faces.bottomRows(f) = sheet.faces.array() + static_cast<std::uint32_t>(v);
+  cloth.coarse.uv.conservativeResize(2 * v, 2);
+  cloth.coarse.uv.bottomRows(v) = sheet.uv;
+  cloth.coarse.uv.bottomRows(v).col(0).array() += 2;
+  cloth.coarse.uv_faces = cloth.coarse.faces;
+  cloth.subdivision = subdivide(cloth.coarse, 2);
+  const std::vector<ObstacleFrame> obstacles{test::sphere("ball", {0.5f, 0.0505f, -0.5f}, 0.05f)};
+  const Positions upsampled = upsample(cloth.subdivision, cloth.coarse.faces, cloth.coarse.rest_positions);
+  Refiner refiner(cloth.coarse, cloth.subdivision, {});
+  const RefinedMesh result =
+      refiner.refine(cloth.coarse.rest_positions, upsampled + test::noise(upsampled.rows(), 0.004f, 9), obstacles);
+  EXPECT_GT(result.report.penetrations_before, 0u);
+  expect_clean(result, cloth.fine().faces);
+  EXPECT_LT(test::sphere_depth(result.positions, cloth.fine().faces, obstacles[0].center, 0.05f), 1.1e-6);
+}
+
+// Weights are a function of the frame alone; a frame that changes little must not make them jump.
+TEST(Refiner, ZonesDoNotPopWhenWrinklesGrow) {
+  Cloth cloth;
+  cloth.coarse = test::square_sheet(10, 1);
+  cloth.subdivision = subdivide(cloth.coarse, 2);
+  const Positions& coarse = cloth.coarse.rest_positions;
+  const Positions upsampled = upsample(cloth.subdivision, cloth.coarse.faces, coarse);
+  // Folds that lean over as they grow and meet their neighbours, higher in the middle than at the rim.
+  Positions detail(upsampled.rows(), 3);
+  for (Eigen::Index v = 0; v < detail.rows(); ++v) {
+    const float x = upsampled(v, 0), z = upsampled(v, 2);
+    const float height = 0.06f * std::sin(3 * x) * std::sin(-3 * z);
+    detail.row(v) << height * std::sin(60 * x), height * std::sin(30 * x + 5 * z), 0;
+  }
+  Refiner refiner(cloth.coarse, cloth.subdivision, {});
+  constexpr int kFrames = 40;
+  Positions last_input, last_output;
+  std::size_t zones = 0;
+  float pop = 0;
+  for (int k = 0; k <= kFrames; ++k) {
+    const Positions input = upsampled + (static_cast<float>(k) / kFrames) * detail;
+    const RefinedMesh result = refiner.refine(coarse, input, {});
+    EXPECT_TRUE(result.report.clean());
+    zones += result.report.zones;
+    if (k > 0) {
+      const Positions change = (result.positions - last_output) - (input - last_input);
+      pop = std::max(pop, change.rowwise().norm().maxCoeff());
+    }
+    last_input = input;
+    last_output = result.positions;
+  }
+  EXPECT_GT(zones, 20u);
+  EXPECT_LT(pop, 0.1f * detail.rowwise().norm().maxCoeff());
+}
+
 TEST(Refiner, KeepsTheWrinklesThatItPushesOut) {
   const Cloth cloth = load_cloth("tablecloth");
   const Positions& coarse = cloth.coarse.rest_positions;
@@ -187,14 +286,38 @@ TEST(Refiner, ACoarseInputThatIntersectsIsReportedAndNotMadeWorse) {
   }
 }
 
-TEST(Refiner, FramesAreIndependentAndReruns) {
+// A frame may be sent again, or to a replica that has not seen the earlier ones.
+TEST(Refiner, FramesAreIndependentAndThreadsDoNotMatter) {
   const Cloth cloth = load_cloth("tablecloth");
-  const Positions coarse = test::wavy(cloth.coarse.rest_positions);
-  const Positions fine =
-      upsample(cloth.subdivision, cloth.coarse.faces, coarse) + test::noise(cloth.fine().vertex_count(), 0.003f, 6);
-  Refiner used(cloth.coarse, cloth.subdivision, {}), fresh(cloth.coarse, cloth.subdivision, {});
-  used.refine(coarse, fine + test::noise(fine.rows(), 0.05f, 7), {});
-  EXPECT_EQ(used.refine(coarse, fine, {}).positions, fresh.refine(coarse, fine, {}).positions);
+  Positions coarse = test::wavy(cloth.coarse.rest_positions);
+  coarse.col(1).array() += 0.2f;
+  const Positions upsampled = upsample(cloth.subdivision, cloth.coarse.faces, coarse);
+  const test::ClosedMesh torus = test::torus(0.3f, 0.1f, 48, 24);
+  const std::vector<ObstacleShape> shapes{{"ring", torus.faces}};
+  const auto obstacles = [&](float y) {
+    ObstacleFrame ring;
+    ring.name = "ring";
+    ring.positions = torus.positions;
+    ring.positions.col(1).array() += y;
+    return std::vector<ObstacleFrame>{ring, test::sphere("ball", {0.5f, y - 0.1f, 0.1f}, 0.2f)};
+  };
+  // As high as the coarse mesh leaves room.
+  float y = -0.2f;
+  while (count_penetrations(coarse, cloth.coarse.faces, shapes, obstacles(y)) == 0) y += 0.004f;
+  y -= 0.005f;
+  const Positions fine = upsampled + test::noise(upsampled.rows(), 0.003f, 6);
+  RefinementOptions one, three;
+  one.threads = 1;
+  three.threads = 3;
+  Refiner used(cloth.coarse, cloth.subdivision, shapes, one), fresh(cloth.coarse, cloth.subdivision, shapes, three);
+  used.refine(coarse, fine + test::noise(fine.rows(), 0.05f, 7), obstacles(-1));
+  used.refine(coarse, upsampled + test::noise(fine.rows(), 0.002f, 8), obstacles(y - 0.002f));
+  const RefinedMesh expected = fresh.refine(coarse, fine, obstacles(y));
+  EXPECT_GT(expected.report.penetrations_before, 0u);
+  EXPECT_GT(expected.report.zones, 0u);
+  EXPECT_TRUE(expected.report.clean());
+  EXPECT_EQ(used.refine(coarse, fine, obstacles(y)).positions, expected.positions);
+  EXPECT_EQ(fresh.refine(coarse, fine, obstacles(y)).positions, expected.positions);
 }
 
 TEST(Refiner, BadInputIsRefusedAndTheRefinerStaysUsable) {

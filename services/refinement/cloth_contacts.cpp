@@ -1,0 +1,243 @@
+#include "services/refinement/cloth_contacts.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "services/refinement/for_ranges.hpp"
+
+namespace pleat {
+namespace {
+
+using Vec3 = Eigen::Vector3d;
+
+enum Side : std::uint8_t { kUnknown, kOutside, kInside };
+
+std::uint32_t root_of(std::vector<std::uint32_t>& parent, std::uint32_t i) {
+  while (parent[i] != i) i = parent[i] = parent[parent[i]];
+  return i;
+}
+
+Box bounds_of(const Capsule& capsule) {
+  Box box;
+  box.extend(capsule.a, capsule.radius);
+  box.extend(capsule.b, capsule.radius);
+  return box;
+}
+
+bool outside(const Box& box, const Positions& positions, std::uint32_t v) {
+  for (int k = 0; k < 3; ++k) {
+    if (positions(v, k) < box.lower[k] || positions(v, k) > box.upper[k]) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+ClothContacts::ClothContacts(const Faces& faces, Eigen::Index vertex_count, ThreadPool* pool)
+    : faces_(faces), pool_(pool), stamps_(static_cast<std::size_t>(vertex_count), 0) {}
+
+void ClothContacts::begin_collecting() {
+  if (++stamp_ != 0) return;
+  std::fill(stamps_.begin(), stamps_.end(), 0u);
+  stamp_ = 1;
+}
+
+void ClothContacts::collect(std::uint32_t vertex, std::vector<std::uint32_t>& out) {
+  if (stamps_[vertex] == stamp_) return;
+  stamps_[vertex] = stamp_;
+  out.push_back(vertex);
+}
+
+bool ClothContacts::is_inside(MeshScan& scan, std::uint32_t vertex) const {
+  return scan.side[root_of(scan.parent, vertex)] == kInside;
+}
+
+void ClothContacts::update(const Positions& positions, const ObstacleField& field,
+                           const SelfIntersectionFinder& finder) {
+  scans_.resize(field.parts().size());
+  for (std::size_t i = 0; i < scans_.size(); ++i) {
+    const ObstacleField::Part& part = field.parts()[i];
+    if (part.present && part.mesh != nullptr) scan(positions, *part.mesh, finder, scans_[i]);
+  }
+}
+
+void ClothContacts::scan(const Positions& positions, const MeshObstacle& mesh, const SelfIntersectionFinder& finder,
+                         MeshScan& scan) {
+  scan.crosses.resize(static_cast<std::size_t>(faces_.rows()));
+  scan.parent.resize(stamps_.size());
+  scan.side.resize(stamps_.size());
+  scan.patches.clear();
+  finder.query_patches(mesh.bounds(), [&](std::uint32_t patch) { scan.patches.push_back(patch); });
+  std::sort(scan.patches.begin(), scan.patches.end());
+
+  const auto cross = [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const auto [first, last] = finder.patch_faces(scan.patches[i]);
+      bool near = false;
+      mesh.tree().query(finder.patch_box(scan.patches[i]), [&](std::uint32_t) { near = true; });
+      for (std::uint32_t f = first; f < last; ++f) {
+        scan.crosses[f] = near && mesh.intersects({positions.row(faces_(f, 0)), positions.row(faces_(f, 1)),
+                                                   positions.row(faces_(f, 2))});
+      }
+    }
+  };
+  for_ranges(pool_, scan.patches.size(), 32, cross);
+
+  begin_collecting();
+  scan.vertices.clear();
+  for (const std::uint32_t patch : scan.patches) {
+    const auto [first, last] = finder.patch_faces(patch);
+    for (std::uint32_t f = first; f < last; ++f) {
+      for (int k = 0; k < 3; ++k) collect(faces_(f, k), scan.vertices);
+    }
+  }
+  for (const std::uint32_t v : scan.vertices) {
+    scan.parent[v] = v;
+    scan.side[v] = kUnknown;
+  }
+  for (const std::uint32_t patch : scan.patches) {
+    const auto [first, last] = finder.patch_faces(patch);
+    for (std::uint32_t f = first; f < last; ++f) {
+      if (scan.crosses[f] != 0) continue;
+      const std::uint32_t a = root_of(scan.parent, faces_(f, 0));
+      for (int k = 1; k < 3; ++k) scan.parent[root_of(scan.parent, faces_(f, k))] = a;
+    }
+  }
+  for (const std::uint32_t v : scan.vertices) {
+    if (outside(mesh.bounds(), positions, v)) scan.side[root_of(scan.parent, v)] = kOutside;
+  }
+  for (const std::uint32_t v : scan.vertices) {
+    std::uint8_t& side = scan.side[root_of(scan.parent, v)];
+    if (side != kUnknown) continue;
+    const auto contact = mesh.contact(positions.row(v).cast<double>(), kPenetrationTolerance);
+    if (contact && std::abs(contact->distance) <= kPenetrationTolerance) continue;  // the next one may know
+    side = contact ? kInside : kOutside;
+  }
+}
+
+void ClothContacts::find_contacts(const Positions& positions, const ObstacleField& field,
+                                  const SelfIntersectionFinder& finder, double reach, std::vector<VertexContact>& out) {
+  out.clear();
+  boxes_.clear();
+  field.append_bounds(reach, boxes_);
+  begin_collecting();
+  vertices_.clear();
+  for (const Box& box : boxes_) {
+    finder.query(box, [&](std::uint32_t f) {
+      for (int k = 0; k < 3; ++k) collect(faces_(f, k), vertices_);
+    });
+  }
+  std::sort(vertices_.begin(), vertices_.end());
+  found_.resize(vertices_.size());
+  is_found_.assign(vertices_.size(), 0);
+  const auto search = [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const Vec3 p = positions.row(vertices_[i]).cast<double>();
+      const auto consider = [&](const ObstacleContact& contact) {
+        if (contact.distance > reach || (is_found_[i] != 0 && contact.distance >= found_[i].distance)) return;
+        found_[i] = contact;
+        is_found_[i] = 1;
+      };
+      for (std::size_t part = 0; part < field.parts().size(); ++part) {
+        const ObstacleField::Part& obstacle = field.parts()[part];
+        if (!obstacle.present) continue;
+        if (obstacle.mesh == nullptr) {
+          for (const Capsule& capsule : obstacle.capsules) consider(capsule_contact(capsule, p));
+        } else if (const auto near = obstacle.mesh->contact_near(p, reach)) {
+          consider(*near);
+        }
+      }
+    }
+  };
+  for_ranges(pool_, vertices_.size(), 256, search);
+  // Deep inside a mesh, few if any: the nearest face is searched without bound.
+  for (std::size_t part = 0; part < field.parts().size(); ++part) {
+    const ObstacleField::Part& obstacle = field.parts()[part];
+    if (!obstacle.present || obstacle.mesh == nullptr) continue;
+    MeshScan& scan = scans_[part];
+    for (std::size_t i = 0; i < vertices_.size(); ++i) {
+      const std::uint32_t v = vertices_[i];
+      if (outside(obstacle.mesh->bounds(), positions, v) || !is_inside(scan, v)) continue;
+      const auto deep = obstacle.mesh->contact(positions.row(v).cast<double>(), 0);
+      if (!deep || (is_found_[i] != 0 && deep->distance >= found_[i].distance)) continue;
+      found_[i] = *deep;
+      is_found_[i] = 1;
+    }
+  }
+  for (std::size_t i = 0; i < vertices_.size(); ++i) {
+    if (is_found_[i] != 0) out.push_back({vertices_[i], found_[i]});
+  }
+}
+
+void ClothContacts::find_penetrations(const Positions& positions, const ObstacleField& field,
+                                      const SelfIntersectionFinder& finder, std::vector<std::uint32_t>& out) {
+  out.clear();
+  for (std::size_t part = 0; part < field.parts().size(); ++part) {
+    const ObstacleField::Part& obstacle = field.parts()[part];
+    if (!obstacle.present) continue;
+    if (obstacle.mesh != nullptr) {
+      MeshScan& scan = scans_[part];
+      for (const std::uint32_t patch : scan.patches) {
+        const auto [first, last] = finder.patch_faces(patch);
+        for (std::uint32_t f = first; f < last; ++f) {
+          if (scan.crosses[f] != 0 || is_inside(scan, faces_(f, 0))) out.push_back(f);
+        }
+      }
+      continue;
+    }
+    for (const Capsule& capsule : obstacle.capsules) {
+      finder.query(bounds_of(capsule), [&](std::uint32_t f) {
+        if (reaches_in(capsule, positions, faces_, f)) out.push_back(f);
+      });
+    }
+  }
+  std::sort(out.begin(), out.end());
+  out.erase(std::unique(out.begin(), out.end()), out.end());
+}
+
+void ClothContacts::find_penetrations_again(const Positions& positions, const ObstacleField& field,
+                                            const SelfIntersectionFinder& finder,
+                                            std::span<const std::uint32_t> moved_patches,
+                                            std::vector<std::uint32_t>& faces) {
+  is_moved_.resize(finder.patch_count(), 0);
+  for (const std::uint32_t p : moved_patches) is_moved_[p] = 1;
+  std::erase_if(faces, [&](std::uint32_t f) { return is_moved_[finder.patch_of(f)] != 0; });
+  for (const std::uint32_t p : moved_patches) is_moved_[p] = 0;
+  for (const ObstacleField::Part& part : field.parts()) {
+    if (!part.present) continue;
+    for (const std::uint32_t p : moved_patches) {
+      const auto [first, last] = finder.patch_faces(p);
+      for (const Capsule& capsule : part.capsules) {
+        if (!bounds_of(capsule).overlaps(finder.patch_box(p))) continue;
+        for (std::uint32_t f = first; f < last; ++f) {
+          if (reaches_in(capsule, positions, faces_, f)) faces.push_back(f);
+        }
+      }
+      if (part.mesh == nullptr || !part.mesh->bounds().overlaps(finder.patch_box(p))) continue;
+      bool near = false;
+      part.mesh->tree().query(finder.patch_box(p), [&](std::uint32_t) { near = true; });
+      const auto meets = [&](std::uint32_t f) {
+        return part.mesh->intersects(
+            {positions.row(faces_(f, 0)), positions.row(faces_(f, 1)), positions.row(faces_(f, 2))});
+      };
+      const auto inside = [&](std::uint32_t f) {
+        const auto contact = part.mesh->contact(positions.row(faces_(f, 0)).cast<double>(), 0);
+        return contact && contact->distance < -kPenetrationTolerance;
+      };
+      const std::size_t before = faces.size();
+      for (std::uint32_t f = first; near && f < last; ++f) {
+        if (meets(f)) faces.push_back(f);
+      }
+      const bool crosses = faces.size() > before;
+      // A patch hangs together: not meeting the surface, it is inside as a whole or not at all.
+      if (!crosses && !inside(first)) continue;
+      for (std::uint32_t f = first; f < last; ++f) {
+        if (!crosses || inside(f)) faces.push_back(f);
+      }
+    }
+  }
+  std::sort(faces.begin(), faces.end());
+  faces.erase(std::unique(faces.begin(), faces.end()), faces.end());
+}
+
+}  // namespace pleat
