@@ -1,6 +1,7 @@
 #include "services/superres/cpu/executor.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <numeric>
@@ -25,6 +26,27 @@ bool processor_has_avx512() {
          __builtin_cpu_supports("avx512bf16");
 }
 #endif
+
+/// Which is faster lately: one thread or all.
+class Pace {
+ public:
+  /// For the next image.
+  bool alone() {
+    if (turn_ < 2) return turn_++ == 1;  // each once, to begin with
+    const bool better = alone_ms_ < together_ms_;
+    return ++turn_ % kTry == 0 ? !better : better;
+  }
+  void took(bool alone, double ms) {
+    double& known = alone ? alone_ms_ : together_ms_;
+    known = known > 0 ? known + kMemory * (ms - known) : ms;
+  }
+
+ private:
+  static constexpr int kTry = 24;  ///< images between two trials of what is slower
+  static constexpr double kMemory = 0.3;
+  int turn_ = 0;
+  double alone_ms_ = 0, together_ms_ = 0;
+};
 
 const Kernels& float32_kernels(bool base_instructions) {
 #ifdef PLEAT_HAVE_AVX512
@@ -99,6 +121,7 @@ struct Executor::State {
   const Kernels* body;
   int element;
   Team team;
+  Pace pace;
 
   int features, growth;  ///< padded to whole vectors
   int inputs = 0;        ///< of the first convolution, without the structure
@@ -247,7 +270,7 @@ struct Executor::State {
     plan = Plan{};
     Plan& p = plan;
     p.coarse = Geometry(h, w);
-    const int members = team.members();
+    const int members = team.largest();
     p.input = Image(p.coarse, round_up(inputs, plain->lanes), 4);
     p.shallow = Image(p.coarse, features, 4);
     p.trunk = Image(p.coarse, features, 4);
@@ -613,7 +636,11 @@ void Executor::run(const float* image, int height, int width, int channels, floa
   State& s = *state_;
   if (s.plan.coarse.height != height || s.plan.coarse.width != width) s.make_plan(height, width);
   const Planes planes{image, height, width};
-  s.team.run([&](int member) { s.run_member(member, planes, channels, output); });
+  const bool alone = s.team.largest() == 1 || s.pace.alone();
+  const auto start = std::chrono::steady_clock::now();
+  s.team.run([&](int member) { s.run_member(member, planes, channels, output); }, alone);
+  const std::chrono::duration<double, std::milli> taken = std::chrono::steady_clock::now() - start;
+  s.pace.took(alone, taken.count());
 }
 
 }  // namespace pleat::superres::cpu

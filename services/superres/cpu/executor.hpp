@@ -21,6 +21,8 @@ using Arrays = std::map<std::string, Array>;
 
 struct ExecutorOptions {
   bool bfloat16 = false;  ///< convolutions behind the shallow ones; needs has_bfloat16()
+  /// At most. An image takes all of them or one, whichever was faster lately: threads that meet at every layer wait for
+  /// each other long where something else runs on the same processors. The result is the same, bit for bit.
   int threads = 1;
   bool base_instructions = false;  ///< only those that the program is built for, for tests
 };

@@ -32,6 +32,7 @@ void wait_for_change(const std::atomic<std::uint32_t>& value, std::uint32_t old)
 struct Team::State {
   std::vector<std::thread> threads;
   int members = 1;
+  bool alone = false;
   std::atomic<std::uint32_t> task_number{0};
   std::atomic<std::uint32_t> round{0};
   std::atomic<int> arrived{0};
@@ -59,9 +60,12 @@ Team::~Team() {
   for (auto& thread : state_->threads) thread.join();
 }
 
-int Team::members() const { return state_->members; }
+int Team::members() const { return state_->alone ? 1 : state_->members; }
+int Team::largest() const { return state_->members; }
 
-void Team::run(const std::function<void(int)>& task) {
+void Team::run(const std::function<void(int)>& task, bool alone) {
+  state_->alone = alone;
+  if (members() == 1) return task(0);
   state_->task = &task;
   state_->task_number.fetch_add(1, std::memory_order_release);
   state_->task_number.notify_all();
@@ -70,7 +74,7 @@ void Team::run(const std::function<void(int)>& task) {
 }
 
 void Team::barrier() {
-  if (state_->members == 1) return;
+  if (members() == 1) return;
   const std::uint32_t round = state_->round.load(std::memory_order_acquire);
   if (state_->arrived.fetch_add(1, std::memory_order_acq_rel) + 1 == state_->members) {
     state_->arrived.store(0, std::memory_order_relaxed);

@@ -16,11 +16,13 @@ class Team {
   Team(const Team&) = delete;
   Team& operator=(const Team&) = delete;
 
+  /// Of the task at hand: all, or 1 while it runs alone.
   int members() const;
+  int largest() const;
 
   /// Calls task(member) for every member, member 0 on the calling thread, and waits. The task may call barrier() but
-  /// must not throw.
-  void run(const std::function<void(int member)>& task);
+  /// must not throw. alone: member 0 does everything, and nobody is woken.
+  void run(const std::function<void(int member)>& task, bool alone = false);
 
   /// Returns when every member has called it.
   void barrier();
