@@ -19,7 +19,7 @@ struct EvalOptions {
   std::string dataset, logs = "out/eval", coordinator;
   std::vector<std::string> models;
   EvaluationOptions evaluation;
-  bool json = false;
+  bool json = false, baselines = false;
   double timeout_s = 30;
   rpc::TlsOptions tls;
 };
@@ -45,6 +45,9 @@ Method session_method(const std::shared_ptr<grpc::Channel>& channel, const std::
                   MethodFrame out;
                   out.positions = positions_from_message(frame.fine(), topology.fine.vertex_count());
                   for (const v1::StageTime& time : frame.stage_times()) out.ms.emplace_back(time.stage(), time.ms());
+                  out.refined = true;
+                  out.penetrations_before = frame.report().penetrations_before();
+                  out.self_intersections_before = frame.report().self_intersections_before();
                   sink(frame.fine().index(), out);
                 });
           }};
@@ -53,6 +56,7 @@ Method session_method(const std::shared_ptr<grpc::Channel>& channel, const std::
 int evaluate_command(const EvalOptions& options) {
   const DatasetReader dataset(options.dataset);
   std::vector<Method> methods{barycentric_method(dataset.topology())};
+  if (options.baselines) methods.push_back(zurdo_method(dataset));
   std::optional<Launcher> launcher;
   if (!options.models.empty()) {
     std::vector<std::string> names;
@@ -107,6 +111,8 @@ std::vector<Command> add_eval(CLI::App& root) {
   app->add_option("--sequences", options->evaluation.sequences, "names of sequences (default: the split 'test')");
   app->add_option("--frames", options->evaluation.frames, "the first FRAMES of each sequence only")
       ->check(positive_number());
+  app->add_flag("--baselines", options->baselines,
+                "also wrinkles by example (Zurdo et al. 2013) from the data set's training split");
   app->add_flag("--json", options->json, "one JSON object: method -> metric -> value");
   app->add_option("--logs", options->logs, "folder for the services' logs")->capture_default_str();
   app->add_option("--coordinator", options->coordinator,

@@ -1,6 +1,7 @@
 #include "services/cli/evaluation.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cstdio>
 #include <memory>
 
@@ -8,6 +9,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "services/cli/median.hpp"
 #include "services/refinement/judge.hpp"
+#include "services/superres/zurdo.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -52,6 +54,20 @@ Method barycentric_method(const MeshPair& topology) {
           }};
 }
 
+Method zurdo_method(const DatasetReader& dataset) {
+  const auto wrinkles = std::make_shared<superres::ZurdoWrinkles>(superres::train_zurdo(dataset));
+  return {"zurdo2013", [wrinkles](const MethodInput& input, const auto& sink) {
+            for (std::uint64_t k = 0; k < input.frames; ++k) {
+              const Positions coarse = input.coarse(k);
+              const auto start = std::chrono::steady_clock::now();
+              MethodFrame frame{wrinkles->synthesize(coarse), {}};
+              const std::chrono::duration<double, std::milli> taken = std::chrono::steady_clock::now() - start;
+              frame.ms = {{"examples", taken.count()}};
+              sink(k, frame);
+            }
+          }};
+}
+
 std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vector<Method>& methods,
                                     const EvaluationOptions& options,
                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
@@ -87,9 +103,12 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
       method.run(input, [&](std::uint64_t k, const MethodFrame& frame) {
         const Positions reference = std::move(dataset.fine(info.name, k, k + 1).at(0));
         const auto obstacles = input.obstacles(k);
-        metrics.add(input.coarse(k), reference, frame.positions,
-                    count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles),
-                    count_self_intersections(frame.positions, topology.fine.faces));
+        FrameCounts counts;
+        counts.penetrations = count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles);
+        counts.self_intersections = count_self_intersections(frame.positions, topology.fine.faces);
+        counts.penetrations_before = frame.refined ? frame.penetrations_before : counts.penetrations;
+        counts.self_intersections_before = frame.refined ? frame.self_intersections_before : counts.self_intersections;
+        metrics.add(input.coarse(k), reference, frame.positions, counts);
         for (const auto& [stage, ms] : frame.ms) {
           const auto found =
               std::find_if(times.begin(), times.end(), [&, &name = stage](const auto& t) { return t.first == name; });
@@ -117,13 +136,19 @@ nlohmann::json to_json(const std::vector<MethodFigures>& figures) {
     out["psnr_db"] = m.psnr_db ? nlohmann::json(*m.psnr_db) : nlohmann::json(nullptr);
     out["vmse_m2"] = m.vmse_m2;
     out["rmse_m"] = m.rmse_m;
+    out["rmse_relative"] = m.rmse_relative;
     out["hausdorff_m"] = m.hausdorff_m;
+    out["normal_angle_deg"] = m.normal_angle_deg;
+    out["stretch"] = m.stretch;
     out["sted"] = m.sted.combined;
     out["sted_spatial"] = m.sted.spatial;
     out["sted_temporal"] = m.sted.temporal;
     out["jitter"] = m.jitter_m;
-    out["penetrations"] = m.penetrations;
-    out["self_intersections"] = m.self_intersections;
+    out["jitter_ratio"] = m.jitter_ratio;
+    out["penetrations"] = m.counts.penetrations;
+    out["penetrations_before"] = m.counts.penetrations_before;
+    out["self_intersections"] = m.counts.self_intersections;
+    out["self_intersections_before"] = m.counts.self_intersections_before;
     for (const auto& [stage, ms] : method.median_ms) out[stage + "_ms"] = ms;
   }
   return json;
@@ -131,18 +156,24 @@ nlohmann::json to_json(const std::vector<MethodFigures>& figures) {
 
 std::string to_table(const std::vector<MethodFigures>& figures) {
   std::string table;
-  char line[256];
-  std::snprintf(line, sizeof line, "%-24s %7s %9s %11s %10s %12s %9s %11s %6s %9s\n", "method", "frames", "PSNR dB",
-                "VMSE m^2", "RMSE mm", "Hausdorff mm", "STED", "jitter mm", "penet.", "self-int.");
+  char line[320];
+  std::snprintf(line, sizeof line, "%-24s %6s %8s %10s %8s %8s %9s %8s %9s %9s %9s %9s %15s %15s\n", "method", "frames",
+                "PSNR dB", "VMSE m^2", "RMSE mm", "RMSE/box", "Hausd. mm", "normal", "stretch", "STED", "jitter mm",
+                "/ refer.", "penetrations", "self-inters.");
   table += line;
+  const auto change = [](std::uint64_t before, std::uint64_t after) {
+    return before == after ? std::to_string(after) : std::to_string(before) + " > " + std::to_string(after);
+  };
   for (const MethodFigures& method : figures) {
     const MetricValues& m = method.metrics;
     char psnr[16] = "-";
     if (m.psnr_db) std::snprintf(psnr, sizeof psnr, "%.2f", *m.psnr_db);
-    std::snprintf(line, sizeof line, "%-24s %7zu %9s %11.3e %10.3f %12.3f %9.5f %11.4f %6llu %9llu\n",
-                  method.name.c_str(), m.frames, psnr, m.vmse_m2, 1e3 * m.rmse_m, 1e3 * m.hausdorff_m, m.sted.combined,
-                  1e3 * m.jitter_m, static_cast<unsigned long long>(m.penetrations),
-                  static_cast<unsigned long long>(m.self_intersections));
+    std::snprintf(line, sizeof line,
+                  "%-24s %6zu %8s %10.3e %8.3f %8.5f %9.3f %7.2f\u00b0 %9.5f %9.5f %9.4f %9.3f %15s %15s\n",
+                  method.name.c_str(), m.frames, psnr, m.vmse_m2, 1e3 * m.rmse_m, m.rmse_relative, 1e3 * m.hausdorff_m,
+                  m.normal_angle_deg, m.stretch, m.sted.combined, 1e3 * m.jitter_m, m.jitter_ratio,
+                  change(m.counts.penetrations_before, m.counts.penetrations).c_str(),
+                  change(m.counts.self_intersections_before, m.counts.self_intersections).c_str());
     table += line;
   }
   for (const MethodFigures& method : figures) {

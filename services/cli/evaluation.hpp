@@ -16,6 +16,8 @@ namespace pleat::cli {
 struct MethodFrame {
   Positions positions;                             ///< (V_fine x 3) metres
   std::vector<std::pair<std::string, double>> ms;  ///< per stage, in the order of the stages
+  bool refined = false;
+  std::uint64_t penetrations_before = 0, self_intersections_before = 0;  ///< where it was refined
 };
 
 /// What a method gets: the coarse frames of one sequence with their obstacles.
@@ -49,11 +51,16 @@ struct EvaluationOptions {
 /// subdivision of its coarse mesh.
 Method barycentric_method(const MeshPair& topology);
 
+/// Wrinkles by example, from the data set's training split (services/superres/zurdo.hpp), without refinement, which the
+/// method does not have.
+Method zurdo_method(const DatasetReader& dataset);
+
 /// Rounds of subdivision from the coarse to the fine mesh; kInvalidArgument if there is no such number.
 int subdivision_rounds(const MeshPair& topology);
 
 /// Runs every method on every sequence. Penetrations and self-intersections are counted by the judge of
-/// services/refinement on what the method gave, whatever it reports itself. `progress` gets the frames done of all.
+/// services/refinement on what the method gave, whatever it reports itself; only the counts before refinement are the
+/// method's own. `progress` gets the frames done of all.
 /// Throws kNotFound (an unknown sequence, or none), and what methods throw.
 std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vector<Method>& methods,
                                     const EvaluationOptions& options,

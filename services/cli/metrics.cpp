@@ -1,5 +1,6 @@
 #include "services/cli/metrics.hpp"
 
+#include <Eigen/Geometry>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -16,6 +17,14 @@ void check_pair(const Positions& reference, const Positions& candidate) {
   if (reference.rows() != candidate.rows() || reference.rows() == 0)
     throw_invalid_argument("metrics need two frames of the same size, got " + std::to_string(reference.rows()) +
                            " and " + std::to_string(candidate.rows()) + " vertices");
+}
+
+constexpr double kDegrees = 57.29577951308232;
+
+/// 1 for a single point.
+double bounding_box_diagonal(const Positions& positions) {
+  const double diagonal = (positions.colwise().maxCoeff() - positions.colwise().minCoeff()).cast<double>().norm();
+  return diagonal > 0 ? diagonal : 1;
 }
 
 double distance(const Positions& positions, std::uint32_t a, std::uint32_t b) {
@@ -90,8 +99,7 @@ void StedAccumulator::add(const Positions& reference, const Positions& candidate
   }
 
   if (sequence_frames_ == 0) {
-    diagonal_ = (reference.colwise().maxCoeff() - reference.colwise().minCoeff()).cast<double>().norm();
-    if (diagonal_ <= 0) diagonal_ = 1;
+    diagonal_ = bounding_box_diagonal(reference);
   } else {
     std::vector<double> step_length(vertices), step_difference(vertices);
     for (std::size_t v = 0; v < vertices; ++v) {
@@ -130,18 +138,60 @@ void JitterAccumulator::begin_sequence() { sequence_frames_ = 0; }
 
 void JitterAccumulator::add(const Positions& reference, const Positions& candidate) {
   check_pair(reference, candidate);
-  Positions error = candidate - reference;
   if (sequence_frames_ >= 2) {
-    // Second differences are linear: those of the error are the error of those.
-    sum_ += (error.cast<double>() - 2.0 * errors_[1].cast<double>() + errors_[0].cast<double>()).squaredNorm();
-    count_ += static_cast<std::size_t>(error.rows());
+    const auto second_difference = [](const Positions& now, const std::array<Positions, 2>& last) -> Eigen::MatrixX3d {
+      return now.cast<double>() - 2.0 * last[1].cast<double>() + last[0].cast<double>();
+    };
+    const Eigen::MatrixX3d r = second_difference(reference, references_);
+    const Eigen::MatrixX3d c = second_difference(candidate, candidates_);
+    error_sum_ += (c - r).squaredNorm();
+    reference_sum_ += r.squaredNorm();
+    candidate_sum_ += c.squaredNorm();
+    count_ += static_cast<std::size_t>(reference.rows());
   }
-  errors_[0] = std::move(errors_[1]);
-  errors_[1] = std::move(error);
+  references_[0] = std::move(references_[1]);
+  references_[1] = reference;
+  candidates_[0] = std::move(candidates_[1]);
+  candidates_[1] = candidate;
   ++sequence_frames_;
 }
 
-double JitterAccumulator::value() const { return count_ > 0 ? std::sqrt(sum_ / static_cast<double>(count_)) : 0; }
+double JitterAccumulator::value() const { return count_ > 0 ? std::sqrt(error_sum_ / static_cast<double>(count_)) : 0; }
+
+double JitterAccumulator::ratio() const { return reference_sum_ > 0 ? std::sqrt(candidate_sum_ / reference_sum_) : 1; }
+
+double mean_normal_angle(const Faces& faces, const Positions& reference, const Positions& candidate) {
+  check_pair(reference, candidate);
+  const Positions a = vertex_normals(reference, faces), b = vertex_normals(candidate, faces);
+  double sum = 0;
+  for (Eigen::Index v = 0; v < a.rows(); ++v) {
+    const Eigen::Vector3d n = a.row(v).cast<double>(), m = b.row(v).cast<double>();
+    // The arc cosine would lose half the digits of a small angle.
+    sum += std::atan2(n.cross(m).norm(), n.dot(m));
+  }
+  return sum / static_cast<double>(a.rows()) * kDegrees;
+}
+
+StretchError::StretchError(const Faces& faces, const Positions& rest) {
+  for (const Edge& edge : build_connectivity(rest.rows(), faces).edges) {
+    const double length = distance(rest, edge.v0, edge.v1);
+    if (length <= 0) continue;
+    edges_.push_back({edge.v0, edge.v1});
+    rest_lengths_.push_back(length);
+  }
+}
+
+double StretchError::operator()(const Positions& reference, const Positions& candidate) const {
+  check_pair(reference, candidate);
+  if (edges_.empty()) return 0;
+  double sum = 0;
+  for (std::size_t e = 0; e < edges_.size(); ++e) {
+    const auto [a, b] = edges_[e];
+    const double error = (distance(candidate, a, b) - distance(reference, a, b)) / rest_lengths_[e];
+    sum += error * error;
+  }
+  return std::sqrt(sum / static_cast<double>(edges_.size()));
+}
 
 DisplacementImageError::DisplacementImageError(const Topology& coarse, const Topology& fine,
                                                const DisplacementRange& range, int coarse_width, int coarse_height)
@@ -190,7 +240,11 @@ double DisplacementImageError::mean_square_error(const Positions& coarse, const 
 MetricsAccumulator::MetricsAccumulator(const Topology& coarse, const Topology& fine,
                                        const std::optional<DisplacementRange>& range, int coarse_width,
                                        int coarse_height)
-    : faces_(fine.faces), fine_vertices_(fine.vertex_count()), sted_(fine.vertex_count(), fine.faces) {
+    : faces_(fine.faces),
+      fine_vertices_(fine.vertex_count()),
+      sted_(fine.vertex_count(), fine.faces),
+      stretch_(fine.faces, fine.rest_positions),
+      diagonal_(bounding_box_diagonal(fine.rest_positions)) {
   if (range) image_error_ = std::make_unique<DisplacementImageError>(coarse, fine, *range, coarse_width, coarse_height);
 }
 
@@ -202,7 +256,7 @@ void MetricsAccumulator::begin_sequence() {
 }
 
 void MetricsAccumulator::add(const Positions& coarse, const Positions& reference, const Positions& candidate,
-                             std::uint64_t penetrations, std::uint64_t self_intersections) {
+                             const FrameCounts& counts) {
   check_pair(reference, candidate);
   if (reference.rows() != fine_vertices_)
     throw_invalid_argument("metrics were set up for " + std::to_string(fine_vertices_) +
@@ -212,8 +266,12 @@ void MetricsAccumulator::add(const Positions& coarse, const Positions& reference
   hausdorff_sum_ += hausdorff_distance(faces_, reference, candidate);
   sted_.add(reference, candidate);
   jitter_.add(reference, candidate);
-  penetrations_ += penetrations;
-  self_intersections_ += self_intersections;
+  angle_sum_ += mean_normal_angle(faces_, reference, candidate);
+  stretch_square_sum_ += std::pow(stretch_(reference, candidate), 2);
+  counts_.penetrations_before += counts.penetrations_before;
+  counts_.penetrations += counts.penetrations;
+  counts_.self_intersections_before += counts.self_intersections_before;
+  counts_.self_intersections += counts.self_intersections;
   ++frames_;
 }
 
@@ -228,8 +286,11 @@ MetricValues MetricsAccumulator::values() const {
   values.hausdorff_m = hausdorff_sum_ / n;
   values.sted = sted_.values();
   values.jitter_m = jitter_.value();
-  values.penetrations = penetrations_;
-  values.self_intersections = self_intersections_;
+  values.jitter_ratio = jitter_.ratio();
+  values.rmse_relative = values.rmse_m / diagonal_;
+  values.normal_angle_deg = angle_sum_ / n;
+  values.stretch = std::sqrt(stretch_square_sum_ / n);
+  values.counts = counts_;
   return values;
 }
 

@@ -59,18 +59,35 @@ class StedAccumulator {
   std::size_t spatial_count_ = 0, temporal_count_ = 0;
 };
 
-/// Root mean square error of second differences in time, metres: shaking that the reference does not have.
+/// Second differences in time: shaking.
 class JitterAccumulator {
  public:
   void begin_sequence();
   void add(const Positions& reference, const Positions& candidate);
-  double value() const;  ///< 0 before the third frame of a sequence
+  double value() const;  ///< root mean square of the error of second differences, m; 0 before the third frame
+  double ratio() const;  ///< root mean square of the candidate's over the reference's; 1 where the latter is 0
 
  private:
-  std::array<Positions, 2> errors_;  ///< candidate - reference of the last two frames, the older one first
+  std::array<Positions, 2> references_, candidates_;  ///< the last two frames, the older one first
   std::size_t sequence_frames_ = 0;
-  double sum_ = 0;
+  double error_sum_ = 0, reference_sum_ = 0, candidate_sum_ = 0;
   std::size_t count_ = 0;
+};
+
+/// Mean over the vertices of the angle between area-weighted vertex normals, degrees.
+double mean_normal_angle(const Faces& faces, const Positions& reference, const Positions& candidate);
+
+/// Errors of edge lengths relative to the rest lengths.
+class StretchError {
+ public:
+  /// Needs manifold faces. An edge without rest length does not count.
+  StretchError(const Faces& faces, const Positions& rest);
+  /// Root mean square over the edges of (candidate's length - reference's length) / rest length.
+  double operator()(const Positions& reference, const Positions& candidate) const;
+
+ private:
+  std::vector<std::array<std::uint32_t, 2>> edges_;
+  std::vector<double> rest_lengths_;
 };
 
 /// Range of the displacement channels, for the PSNR.
@@ -96,17 +113,27 @@ class DisplacementImageError {
   Tensor reference_, candidate_;
 };
 
+/// What the judge found in one frame, before refinement and in the final mesh. A method that refines nothing has the
+/// same counts twice.
+struct FrameCounts {
+  std::uint64_t penetrations_before = 0, penetrations = 0;
+  std::uint64_t self_intersections_before = 0, self_intersections = 0;
+};
+
 /// The figures of one method over all sequences.
 struct MetricValues {
   std::size_t frames = 0;
   std::optional<double> psnr_db;  ///< absent without a normalisation, or where nothing differs
   double vmse_m2 = 0;
-  double rmse_m = 0;       ///< sqrt(vmse_m2)
-  double hausdorff_m = 0;  ///< mean over frames
+  double rmse_m = 0;            ///< sqrt(vmse_m2)
+  double rmse_relative = 0;     ///< over the bounding box diagonal of the fine rest mesh
+  double normal_angle_deg = 0;  ///< mean over frames
+  double stretch = 0;           ///< root mean square over edges and frames
+  double hausdorff_m = 0;       ///< mean over frames
   StedValues sted;
   double jitter_m = 0;
-  std::uint64_t penetrations = 0;        ///< sum over frames
-  std::uint64_t self_intersections = 0;  ///< sum over frames
+  double jitter_ratio = 1;
+  FrameCounts counts;  ///< sums over frames
 };
 
 /// Collects all metrics of one method.
@@ -118,10 +145,9 @@ class MetricsAccumulator {
   ~MetricsAccumulator();
 
   void begin_sequence();
-  /// coarse: (V_coarse x 3); reference, candidate: (V_fine x 3), metres. The counts are those of the candidate.
-  /// Throws kInvalidArgument for other sizes.
+  /// coarse: (V_coarse x 3); reference, candidate: (V_fine x 3), metres. Throws kInvalidArgument for other sizes.
   void add(const Positions& coarse, const Positions& reference, const Positions& candidate,
-           std::uint64_t penetrations = 0, std::uint64_t self_intersections = 0);
+           const FrameCounts& counts = {});
   MetricValues values() const;
 
  private:
@@ -130,9 +156,11 @@ class MetricsAccumulator {
   std::unique_ptr<DisplacementImageError> image_error_;
   StedAccumulator sted_;
   JitterAccumulator jitter_;
+  StretchError stretch_;
+  double diagonal_;
   std::size_t frames_ = 0;
-  double image_mse_sum_ = 0, vmse_sum_ = 0, hausdorff_sum_ = 0;
-  std::uint64_t penetrations_ = 0, self_intersections_ = 0;
+  double image_mse_sum_ = 0, vmse_sum_ = 0, hausdorff_sum_ = 0, angle_sum_ = 0, stretch_square_sum_ = 0;
+  FrameCounts counts_;
 };
 
 }  // namespace pleat

@@ -13,6 +13,7 @@ namespace pleat::superres {
 struct Batcher::State {
   struct Request {
     Tensor image;
+    int channels;
     std::promise<Tensor> answer;
   };
 
@@ -32,7 +33,10 @@ struct Batcher::State {
     if (sessions.load() > 1) wake.wait_for(lock, options.latency, full);
     std::vector<Request> batch;
     while (!queue.empty() && batch.size() < static_cast<std::size_t>(options.largest_batch)) {
-      if (!batch.empty() && queue.front().image.shape != batch.front().image.shape) break;
+      if (!batch.empty() && (queue.front().image.shape != batch.front().image.shape ||
+                             queue.front().channels != batch.front().channels)) {
+        break;
+      }
       batch.push_back(std::move(queue.front()));
       queue.pop_front();
     }
@@ -41,7 +45,7 @@ struct Batcher::State {
 
   void answer_one(Request& request) {
     try {
-      request.answer.set_value(engine->upscale(request.image));
+      request.answer.set_value(engine->upscale(request.image, request.channels));
     } catch (...) {
       request.answer.set_exception(std::current_exception());
     }
@@ -52,9 +56,10 @@ struct Batcher::State {
     std::vector<std::span<const float>> images;
     for (const Request& request : batch) images.emplace_back(request.image.values);
     const Tensor& first = batch.front().image;
+    const int channels = batch.front().channels;
     std::vector<std::vector<float>> results;
     try {
-      results = engine->upscale(images, static_cast<int>(first.shape[1]), static_cast<int>(first.shape[2]));
+      results = engine->upscale(images, static_cast<int>(first.shape[1]), static_cast<int>(first.shape[2]), channels);
     } catch (const std::exception&) {
       // One bad image must not spoil the others: each gets its own answer or error.
       for (Request& request : batch) answer_one(request);
@@ -62,8 +67,9 @@ struct Batcher::State {
     }
     for (std::size_t i = 0; i < batch.size(); ++i) {
       Tensor result;
-      result.shape = {first.shape[0], first.shape[1] * kScale, first.shape[2] * kScale};
-      result.channels = batch[i].image.channels;
+      result.shape = {channels, first.shape[1] * kScale, first.shape[2] * kScale};
+      const auto& names = batch[i].image.channels;
+      result.channels.assign(names.begin(), names.begin() + channels);
       result.values = std::move(results[i]);
       batch[i].answer.set_value(std::move(result));
     }
@@ -93,11 +99,11 @@ Batcher::~Batcher() {
   state_->worker.join();
 }
 
-std::future<Tensor> Batcher::submit(Tensor image) {
+std::future<Tensor> Batcher::submit(Tensor image, int channels) {
   if (image.shape.size() != 3 || image.shape[0] != kChannels || image.channels != state_->engine->describe().channels) {
     throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
   }
-  State::Request request{std::move(image), {}};
+  State::Request request{std::move(image), channels, {}};
   auto future = request.answer.get_future();
   {
     const std::lock_guard lock(state_->mutex);

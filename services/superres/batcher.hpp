@@ -26,10 +26,10 @@ class Batcher {
   Batcher(const Batcher&) = delete;
   Batcher& operator=(const Batcher&) = delete;
 
-  /// Queues a coarse image (9, h, w); the future holds the fine one or the error of its inference. Throws
-  /// kResourceExhausted if the queue is full, kInvalidArgument for other channels. A faulty image spoils only its own
-  /// answer.
-  std::future<Tensor> submit(Tensor image);
+  /// Queues a coarse image (9, h, w); the future holds the first `channels` (9 or 3) of the fine one, or the error of
+  /// its inference. Throws kResourceExhausted if the queue is full, kInvalidArgument for other channels. A faulty image
+  /// spoils only its own answer.
+  std::future<Tensor> submit(Tensor image, int channels = kChannels);
 
   /// A session counts until the returned token dies.
   std::shared_ptr<void> open_session();

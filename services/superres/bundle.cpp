@@ -59,4 +59,22 @@ torch::jit::Module load_bundle(const std::string& path, Metadata& metadata) {
   return module;
 }
 
+cpu::Arrays arrays_of(const torch::jit::Module& module) {
+  cpu::Arrays arrays;
+  const auto add = [&](const std::string& name, const torch::Tensor& tensor) {
+    cpu::Array& array = arrays[name];
+    array.shape = tensor.sizes().vec();
+    if (tensor.is_floating_point()) {
+      const auto values = tensor.to(torch::kCPU, torch::kFloat32).contiguous();
+      array.values.assign(values.data_ptr<float>(), values.data_ptr<float>() + values.numel());
+    } else {
+      const auto values = tensor.to(torch::kCPU, torch::kInt64).contiguous();
+      array.indices.assign(values.data_ptr<std::int64_t>(), values.data_ptr<std::int64_t>() + values.numel());
+    }
+  };
+  for (const auto& entry : module.named_parameters()) add(entry.name, entry.value);
+  for (const auto& entry : module.named_buffers()) add(entry.name, entry.value);
+  return arrays;
+}
+
 }  // namespace pleat::superres

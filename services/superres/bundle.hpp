@@ -5,6 +5,7 @@
 
 #include <string>
 
+#include "services/superres/cpu/executor.hpp"
 #include "services/superres/metadata.hpp"
 
 namespace pleat::superres {
@@ -18,5 +19,8 @@ void publish_file(const std::string& partial, const std::string& path);
 
 /// Loads both. Errors as read_metadata.
 torch::jit::Module load_bundle(const std::string& path, Metadata& metadata);
+
+/// The module's parameters and buffers.
+cpu::Arrays arrays_of(const torch::jit::Module& module);
 
 }  // namespace pleat::superres

@@ -14,6 +14,7 @@
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
 #include "services/superres/bundle.hpp"
+#include "services/superres/cpu/executor.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -36,6 +37,10 @@ std::string first_line(const std::string& text) { return text.substr(0, text.fin
 
 bool stays_float32(const std::string& name, const std::vector<std::string>& prefixes) {
   return std::any_of(prefixes.begin(), prefixes.end(), [&](const auto& prefix) { return name.rfind(prefix, 0) == 0; });
+}
+
+bool out_of_memory(const std::string& text) {
+  return text.find("out of memory") != std::string::npos || text.find("can't allocate memory") != std::string::npos;
 }
 
 void convert_to_bfloat16(torch::jit::Module& module, const std::vector<std::string>& prefixes) {
@@ -112,25 +117,60 @@ struct Engine::State {
   EngineStatus status;
   torch::Device device = torch::kCPU;
   torch::jit::Module module;
+  std::unique_ptr<cpu::Executor> executor;  ///< in place of the module where it can
   std::mutex mutex;
 
-  torch::Tensor run(const torch::Tensor& input) {
+  /// One inference of the module. images: (N, 9, h, w).
+  torch::Tensor run_module(const torch::Tensor& images) {
     const c10::InferenceMode inference;
     if (at::get_num_threads() != status.threads) at::set_num_threads(status.threads);
     torch::Tensor output;
+    const std::string name = "model bundle '" + metadata.name + "': ";
     try {
-      output = module.forward({input.to(device)}).toTensor();
-    } catch (const c10::Error& error) {
-      throw_internal("model bundle '" + metadata.name + "': " + first_line(error.what_without_backtrace()));
-    } catch (const std::runtime_error& error) {
-      throw_internal("model bundle '" + metadata.name + "': " + first_line(error.what()));
+      output = module.forward({images.to(device)}).toTensor();
+      const auto expected = std::vector<std::int64_t>{images.size(0), kChannels, images.size(2) * metadata.scale,
+                                                      images.size(3) * metadata.scale};
+      if (output.sizes().vec() != expected) throw_internal(name + "answers with another shape than (N, 9, 4h, 4w)");
+      return output.to(torch::kCPU, torch::kFloat32).contiguous();
+    } catch (const Error&) {
+      throw;
+    } catch (const std::exception& error) {
+      const auto* torch_error = dynamic_cast<const c10::Error*>(&error);
+      const std::string text = torch_error != nullptr ? torch_error->what_without_backtrace() : error.what();
+      if (out_of_memory(text)) throw Error(ErrorCode::kResourceExhausted, name + first_line(text));
+      throw_internal(name + first_line(text));
     }
-    const auto expected = std::vector<std::int64_t>{input.size(0), kChannels, input.size(2) * metadata.scale,
-                                                    input.size(3) * metadata.scale};
-    if (output.sizes().vec() != expected) {
-      throw_internal("model bundle '" + metadata.name + "': answers with another shape than (N, 9, 4h, 4w)");
+  }
+
+  /// Images [begin, end) to results [begin, end), in batches that the device can hold.
+  void run_batches(const torch::Tensor& images, std::int64_t begin, std::int64_t end, int channels,
+                   std::vector<std::vector<float>>& results) {
+    const std::int64_t plane = images.size(2) * images.size(3), fine = plane * metadata.scale * metadata.scale;
+    if (executor) {
+      for (std::int64_t n = begin; n < end; ++n) {
+        auto& result = results[static_cast<std::size_t>(n)];
+        result.resize(static_cast<std::size_t>(channels * fine));
+        executor->run(images.data_ptr<float>() + n * kChannels * plane, static_cast<int>(images.size(2)),
+                      static_cast<int>(images.size(3)), channels, result.data());
+      }
+      return;
     }
-    return output.to(torch::kCPU, torch::kFloat32).contiguous();
+    while (begin < end) {
+      const std::int64_t count = std::min<std::int64_t>(end - begin, status.largest_batch);
+      torch::Tensor output;
+      try {
+        output = run_module(images.slice(0, begin, begin + count));
+      } catch (const Error& error) {
+        if (error.code() != ErrorCode::kResourceExhausted || count == 1) throw;
+        status.largest_batch = static_cast<int>(count / 2);
+        continue;
+      }
+      for (std::int64_t n = 0; n < count; ++n) {
+        const float* source = output.data_ptr<float>() + n * kChannels * fine;
+        results[static_cast<std::size_t>(begin + n)].assign(source, source + channels * fine);
+      }
+      begin += count;
+    }
   }
 };
 
@@ -154,24 +194,45 @@ Engine::Engine(const EngineOptions& options, const std::string& name) : state_(s
   s.status.precision = bfloat16 ? "bfloat16" : "float32";
   s.status.processor = processor_field("model name");
   s.status.threads = options.threads > 0 ? options.threads : static_cast<int>(available_processors());
+  s.status.kernels = "TorchScript";
+  s.status.largest_batch = std::max(1, options.largest_batch);
 
-  const torch::NoGradGuard no_grad;
-  at::set_num_threads(s.status.threads);
-  try {
-    if (bfloat16) convert_to_bfloat16(s.module, s.metadata.float32_parameters);
-    s.module.to(s.device);
-    s.module = torch::jit::freeze(s.module);
-    s.module = torch::jit::optimize_for_inference(s.module);
-  } catch (const std::exception& error) {
-    throw_data_loss(path + ": can't be prepared: " + first_line(error.what()));
+  if (!cuda && !options.torchscript) {
+    const cpu::Arrays arrays = arrays_of(s.module);
+    if (cpu::Executor::supports(s.metadata.architecture, arrays) && (!bfloat16 || cpu::has_bfloat16())) {
+      s.executor = std::make_unique<cpu::Executor>(s.metadata.architecture, arrays,
+                                                   cpu::ExecutorOptions{bfloat16, s.status.threads, false});
+      s.status.kernels = s.executor->kernels();
+      s.module = {};
+    }
   }
-  for (int batch = 1; batch <= std::max(1, options.largest_batch); ++batch) {
-    const auto input = torch::full({batch, kChannels, s.metadata.coarse_height, s.metadata.coarse_width}, 0.5);
-    for (int i = 0; i < std::max(1, options.warm_up); ++i) {
-      if (!torch::isfinite(s.run(input)).all().item<bool>()) {
-        throw_data_loss(path + ": the module answers with values that are not finite");
+  if (!s.executor) {
+    const torch::NoGradGuard no_grad;
+    at::set_num_threads(s.status.threads);
+    try {
+      if (bfloat16) convert_to_bfloat16(s.module, s.metadata.float32_parameters);
+      s.module.to(s.device);
+      s.module = torch::jit::freeze(s.module);
+      s.module = torch::jit::optimize_for_inference(s.module);
+    } catch (const std::exception& error) {
+      throw_data_loss(path + ": can't be prepared: " + first_line(error.what()));
+    }
+  }
+  // The first inferences make buffers, and TorchScript optimises in its second; a batch of one must be as warm as a
+  // full one.
+  const int h = s.metadata.coarse_height, w = s.metadata.coarse_width;
+  for (const int batch : {1, s.executor ? 1 : s.status.largest_batch}) {
+    const auto input = torch::full({batch, kChannels, h, w}, 0.5);
+    for (int i = 0; i < 2; ++i) {
+      std::vector<std::vector<float>> results(static_cast<std::size_t>(batch));
+      s.run_batches(input, 0, batch, kChannels, results);
+      for (const auto& result : results) {
+        if (!std::all_of(result.begin(), result.end(), [](float v) { return std::isfinite(v); })) {
+          throw_data_loss(path + ": the module answers with values that are not finite");
+        }
       }
     }
+    if (s.status.largest_batch == 1) break;
   }
 }
 
@@ -180,7 +241,10 @@ Engine::Engine(Engine&&) noexcept = default;
 Engine& Engine::operator=(Engine&&) noexcept = default;
 
 const Metadata& Engine::describe() const { return state_->metadata; }
-const EngineStatus& Engine::status() const { return state_->status; }
+EngineStatus Engine::status() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->status;
+}
 
 void Engine::require_topology(const std::string& topology_hash) const {
   const std::string& own = state_->metadata.topology_hash;
@@ -191,13 +255,15 @@ void Engine::require_topology(const std::string& topology_hash) const {
   }
 }
 
-std::vector<std::vector<float>> Engine::upscale(std::span<const std::span<const float>> images, int height, int width) {
+std::vector<std::vector<float>> Engine::upscale(std::span<const std::span<const float>> images, int height, int width,
+                                                int channels) {
   State& s = *state_;
   if (images.empty()) return {};
+  if (channels != 3 && channels != kChannels) throw_invalid_argument("fine image: 3 or 9 channels can be asked for");
   if (height < 1 || width < 1 || height > 8192 || width > 8192) {
     throw_invalid_argument("coarse image: " + std::to_string(width) + "x" + std::to_string(height) + " is no size");
   }
-  const bool one_size = s.metadata.kind == "mfsr" && s.metadata.architecture.residual == "mesh";
+  const bool one_size = needs_mesh(s.metadata.architecture);
   if (one_size && (height != s.metadata.coarse_height || width != s.metadata.coarse_width)) {
     throw_invalid_argument("coarse image: " + std::to_string(width) + "x" + std::to_string(height) +
                            ", the bundle serves its own mesh at " + std::to_string(s.metadata.coarse_width) + "x" +
@@ -219,27 +285,18 @@ std::vector<std::vector<float>> Engine::upscale(std::span<const std::span<const 
     std::memcpy(target, image.data(), count * sizeof(float));
     target += count;
   }
-  torch::Tensor output;
-  {
-    const std::lock_guard lock(s.mutex);
-    output = s.run(input);
-  }
-  const std::size_t fine = count * static_cast<std::size_t>(s.metadata.scale * s.metadata.scale);
-  std::vector<std::vector<float>> result(images.size());
-  const float* source = output.data_ptr<float>();
-  for (auto& image : result) {
-    image.assign(source, source + fine);
-    source += fine;
-  }
-  return result;
+  std::vector<std::vector<float>> results(images.size());
+  const std::lock_guard lock(s.mutex);
+  s.run_batches(input, 0, batch, channels, results);
+  return results;
 }
 
-std::vector<float> Engine::upscale(std::span<const float> image, int height, int width) {
+std::vector<float> Engine::upscale(std::span<const float> image, int height, int width, int channels) {
   const std::span<const float> one[] = {image};
-  return std::move(upscale(std::span<const std::span<const float>>(one), height, width).front());
+  return std::move(upscale(std::span<const std::span<const float>>(one), height, width, channels).front());
 }
 
-Tensor Engine::upscale(const Tensor& image) {
+Tensor Engine::upscale(const Tensor& image, int channels) {
   if (image.shape.size() != 3 || image.shape[0] != kChannels || image.channels != state_->metadata.channels) {
     throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
   }
@@ -247,9 +304,9 @@ Tensor Engine::upscale(const Tensor& image) {
     throw_invalid_argument("coarse image: its height or width is no size");
   }
   Tensor result;
-  result.values = upscale(image.values, static_cast<int>(image.shape[1]), static_cast<int>(image.shape[2]));
-  result.shape = {kChannels, image.shape[1] * kScale, image.shape[2] * kScale};
-  result.channels = image.channels;
+  result.values = upscale(image.values, static_cast<int>(image.shape[1]), static_cast<int>(image.shape[2]), channels);
+  result.shape = {channels, image.shape[1] * kScale, image.shape[2] * kScale};
+  result.channels.assign(image.channels.begin(), image.channels.begin() + channels);
   return result;
 }
 

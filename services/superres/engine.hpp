@@ -28,10 +28,10 @@ bool processor_has_bfloat16();
 struct EngineOptions {
   std::string folder = "deploy/models";  ///< bundles are code: they are loaded from here and from nowhere else
   Precision precision = Precision::kAuto;
-  int threads = 0;        ///< of one inference on the CPU; 0: all processors this process may use
-  bool use_cuda = true;   ///< when LibTorch sees a device
-  int warm_up = 3;        ///< inferences before load() returns
-  int largest_batch = 4;  ///< batch sizes 1 to this are warmed up
+  int threads = 0;           ///< of one inference on the CPU; 0: all processors this process may use
+  bool use_cuda = true;      ///< when LibTorch sees a device
+  int largest_batch = 4;     ///< images in one inference at most; larger batches are split
+  bool torchscript = false;  ///< run the module itself even where the processor's own kernels could: for comparison
 };
 
 /// What a loaded bundle runs as.
@@ -39,7 +39,9 @@ struct EngineStatus {
   std::string device;     ///< "cpu" or "cuda:0"
   std::string precision;  ///< "float32" or "bfloat16"
   std::string processor;  ///< the processor's own name
+  std::string kernels;    ///< "AVX-512 bfloat16", "AVX-512", "AVX2", or "TorchScript"
   int threads = 0;
+  int largest_batch = 0;  ///< smaller than asked for if the device ran out of memory
 };
 
 /// Lists the bundles of a folder: names without ".pt", sorted. kNotFound if the folder does not exist.
@@ -64,19 +66,23 @@ class Engine {
   Engine& operator=(Engine&&) noexcept;
 
   const Metadata& describe() const;
-  const EngineStatus& status() const;
+  /// Of the moment.
+  EngineStatus status() const;
 
   /// Throws kFailedPrecondition unless the bundle serves the coarse mesh with this topology_hash().
   void require_topology(const std::string& topology_hash) const;
 
-  /// images: N normalised coarse images, each (9, h, w) float32 row-major; returns N fine images (9, 4h, 4w).
+  /// images: N normalised coarse images, each (9, h, w) float32 row-major; returns N fine images, the first `channels`
+  /// (9, or 3: displacements alone take less time) of (9, 4h, 4w).
   /// h and w are the bundle's or, for bundles that know no mesh (residual "mesh"), any size. kInvalidArgument for sizes
-  /// that don't fit or values that are not finite; kInternal if the module answers with another shape.
-  std::vector<std::vector<float>> upscale(std::span<const std::span<const float>> images, int height, int width);
-  std::vector<float> upscale(std::span<const float> image, int height, int width);
+  /// that don't fit or values that are not finite; kInternal if the module answers with another shape. If the device
+  /// runs out of memory, the batch is halved, here and from then on; kResourceExhausted if one image is too much.
+  std::vector<std::vector<float>> upscale(std::span<const std::span<const float>> images, int height, int width,
+                                          int channels = kChannels);
+  std::vector<float> upscale(std::span<const float> image, int height, int width, int channels = kChannels);
 
   /// The same for a frame's tensor: shape (9, h, w) with the bundle's channel names.
-  Tensor upscale(const Tensor& image);
+  Tensor upscale(const Tensor& image, int channels = kChannels);
 
  private:
   struct State;

@@ -14,11 +14,12 @@ inline constexpr int kLocalChannels = 17;
 /// W.
 struct MeshBase {
   std::int64_t vertices = 0;
-  std::vector<float> to_vertices;     ///< (V_coarse x h w): vertex values from texels, least squares
-  std::vector<std::int64_t> corners;  ///< (3 x H W): coarse vertices around a fine texel
-  std::vector<float> weights;         ///< (3 x H W): barycentric, sum 1
-  std::vector<float> rest;            ///< (3 x h w): rest positions at the coarse texels, metres
-  std::vector<float> structure;       ///< (32 x h x w): the two largest weights of each of the 4 x 4 fine texels
+  std::vector<std::int64_t> vertex_texels;  ///< (V_coarse x K): texels near a vertex
+  std::vector<float> vertex_weights;        ///< (V_coarse x K): the vertex's value is their weighted sum, exactly
+  std::vector<std::int64_t> corners;        ///< (3 x H W): coarse vertices around a fine texel
+  std::vector<float> weights;               ///< (3 x H W): barycentric, sum 1
+  std::vector<float> rest;                  ///< (3 x h w): rest positions at the coarse texels, metres
+  std::vector<float> structure;             ///< (32 x h x w): the two largest weights of each of the 4 x 4 fine texels
 };
 
 }  // namespace pleat::superres

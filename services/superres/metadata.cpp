@@ -1,5 +1,6 @@
 #include "services/superres/metadata.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
@@ -64,7 +65,24 @@ const std::vector<std::string>& channel_names() {
   return names;
 }
 
+const std::vector<std::string>& architecture_kinds() {
+  static const std::vector<std::string> kinds{"mfsr", "srresnet", "chen2018"};
+  return kinds;
+}
+
+bool is_registered(const Architecture& architecture) {
+  const auto& kinds = architecture_kinds();
+  return std::find(kinds.begin(), kinds.end(), architecture.kind) != kinds.end();
+}
+
+bool needs_mesh(const Architecture& architecture) {
+  return is_registered(architecture) && (architecture.residual == "mesh" || architecture.kind == "chen2018");
+}
+
 void validate(const Architecture& architecture) {
+  if (!is_registered(architecture)) {
+    throw_invalid_argument("architecture: kind '" + architecture.kind + "' is not 'mfsr', 'srresnet' or 'chen2018'");
+  }
   check_range("blocks", architecture.blocks, 1, 64);
   check_range("layers", architecture.layers, 1, 32);
   check_range("growth", architecture.growth, 1, 256);
@@ -83,6 +101,11 @@ void validate(const Architecture& architecture) {
     throw_invalid_argument("architecture: residual must be 'none', 'bilinear' or 'mesh', is '" + architecture.residual +
                            "'");
   }
+  if (architecture.kind == "chen2018" && (architecture.residual != "none" || architecture.axes != "aligned" ||
+                                          architecture.conditioned || architecture.upsampling != "subpixel")) {
+    throw_invalid_argument(
+        "architecture: kind 'chen2018' has residual 'none', axes 'aligned', upsampling 'subpixel' and no conditioning");
+  }
 }
 
 std::string to_json(const Metadata& metadata) {
@@ -91,11 +114,16 @@ std::string to_json(const Metadata& metadata) {
   document["format"] = kFormat;
   document["version"] = kBundleVersion;
   document["name"] = metadata.name;
-  document["architecture"] = {{"kind", metadata.kind},        {"blocks", a.blocks},
-                              {"layers", a.layers},           {"growth", a.growth},
-                              {"features", a.features},       {"upsampling", a.upsampling},
-                              {"residual", a.residual},       {"axes", a.axes},
-                              {"conditioned", a.conditioned}, {"parameters", metadata.parameters}};
+  document["architecture"] = {{"kind", a.kind},
+                              {"blocks", a.blocks},
+                              {"layers", a.layers},
+                              {"growth", a.growth},
+                              {"features", a.features},
+                              {"upsampling", a.upsampling},
+                              {"residual", a.residual},
+                              {"axes", a.axes},
+                              {"conditioned", a.conditioned},
+                              {"parameters", metadata.parameters}};
   document["scale"] = metadata.scale;
   document["channels"] = metadata.channels;
   document["normalization"] = {{"minimum", metadata.normalization.minimum},
@@ -127,9 +155,9 @@ Metadata metadata_from_json(const std::string& text, const std::string& source) 
   m.name = get<std::string>(document, "name", source);
   const json architecture = get<json>(document, "architecture", source);
   if (!architecture.is_object()) throw_invalid_argument(source + ": pleat.json: 'architecture' must be an object");
-  m.kind = get_or<std::string>(architecture, "kind", "mfsr", source);
+  m.architecture.kind = get_or<std::string>(architecture, "kind", "mfsr", source);
   m.parameters = get_or<std::int64_t>(architecture, "parameters", 0, source);
-  if (m.kind == "mfsr") {
+  if (is_registered(m.architecture)) {
     Architecture& a = m.architecture;
     a.blocks = get<int>(architecture, "blocks", source);
     a.layers = get<int>(architecture, "layers", source);

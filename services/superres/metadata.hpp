@@ -16,11 +16,11 @@ inline constexpr int kBundleVersion = 1;  ///< version of pleat.json that this p
 /// The names of the nine channels, in tensor order.
 const std::vector<std::string>& channel_names();
 
-/// Sizes of an [MFSR] network (section 5.1 and figure 4). The defaults are the published ones.
+/// A network of the registry. The defaults are the published [MFSR] one (section 5.1 and figure 4).
 struct Architecture {
-  int blocks = 16;    ///< residual dense blocks
-  int layers = 6;     ///< densely connected layers in a block
-  int growth = 32;    ///< features that a layer adds
+  int blocks = 16;    ///< residual dense blocks, or residual blocks
+  int layers = 6;     ///< densely connected layers in a block ("mfsr")
+  int growth = 32;    ///< features that a layer adds ("mfsr")
   int features = 64;  ///< features between the blocks
   /// "bilinear": features are upsampled, then each head is one 3x3 convolution (published).
   /// "subpixel": each head is one 3x3 convolution at the coarse size to 16 values a texel and channel, rearranged.
@@ -34,7 +34,17 @@ struct Architecture {
   /// the same fold in every direction. Needs residual "mesh" and conditioned.
   std::string axes = "aligned";
   bool conditioned = false;  ///< inputs standardised, plus their local detail as nine more channels; outputs scaled
+  /// One of architecture_kinds(): "mfsr"; "srresnet": the same around residual blocks instead of dense ones ([MFSR]
+  /// figure 13); "chen2018": residual blocks on positions alone ([MFSR]'s reference [13]). Or the author's own word for
+  /// a module made elsewhere.
+  std::string kind = "mfsr";
 };
+
+/// The networks that can be trained here.
+const std::vector<std::string>& architecture_kinds();
+bool is_registered(const Architecture& architecture);
+/// True if the network holds constants of one mesh, so that it serves one mesh and image size only.
+bool needs_mesh(const Architecture& architecture);
 
 /// Throws kInvalidArgument for sizes that make no network or one beyond all sense (limits in docs/superres.md).
 void validate(const Architecture& architecture);
@@ -48,8 +58,7 @@ struct Normalization {
 /// Everything that pleat.json holds.
 struct Metadata {
   std::string name;           ///< the bundle's name; its file is <name>.pt
-  Architecture architecture;  ///< of the network that was trained here; ignored for foreign modules
-  std::string kind = "mfsr";  ///< "mfsr", or the author's own word for a module made elsewhere
+  Architecture architecture;  ///< of a module made elsewhere only the kind counts
   int scale = kScale;
   std::vector<std::string> channels = channel_names();
   Normalization normalization;

@@ -141,6 +141,18 @@ Network::Network(const Architecture& architecture, std::uint64_t seed)
     : architecture_(architecture), random_state_(seed) {
   validate(architecture);
   const Architecture& a = architecture_;
+  if (a.kind == "chen2018") {
+    add_convolution("shallow0", 3, a.features, 3, false);
+    add_slope("shallow0");
+    add_residual_blocks();
+    add_convolution("global1", a.features, a.features, 3, false);
+    for (const char* stage : {"stage0", "stage1"}) {
+      add_convolution(stage, a.features, 4 * a.features, 3, false);
+      add_slope(stage);
+    }
+    add_convolution("last", a.features, 3, 3, false);
+    return;
+  }
   const bool subpixel = a.upsampling == "subpixel";
   add_convolution("shallow0",
                   (a.axes == "local" ? kLocalChannels
@@ -149,13 +161,17 @@ Network::Network(const Architecture& architecture, std::uint64_t seed)
                       (a.residual == "mesh" ? kStructureChannels : 0),
                   a.features, 3, false);
   add_convolution("shallow1", a.features, a.features, 3, false);
-  for (int d = 0; d < a.blocks; ++d) {
-    for (int c = 0; c < a.layers; ++c) {
-      add_convolution(dense_name(d, c), a.features + c * a.growth, a.growth, 3, false);
+  if (a.kind == "srresnet") {
+    add_residual_blocks();
+  } else {
+    for (int d = 0; d < a.blocks; ++d) {
+      for (int c = 0; c < a.layers; ++c) {
+        add_convolution(dense_name(d, c), a.features + c * a.growth, a.growth, 3, false);
+      }
+      add_convolution(fusion_name(d), a.features + a.layers * a.growth, a.features, 1, false);
     }
-    add_convolution(fusion_name(d), a.features + a.layers * a.growth, a.features, 1, false);
+    add_convolution("global0", a.blocks * a.features, a.features, 1, false);
   }
-  add_convolution("global0", a.blocks * a.features, a.features, 1, false);
   add_convolution("global1", a.features, a.features, 3, false);
   for (const char* head : kHeads) {
     add_convolution(std::string("head_") + head, a.features, subpixel ? 3 * kScale * kScale : 3, 3,
@@ -169,6 +185,20 @@ Network::Network(const Architecture& architecture, std::uint64_t seed)
     buffers_.emplace_back("local_mean", torch::zeros({1, kLocalChannels, 1, 1}));
     buffers_.emplace_back("local_deviation", torch::ones({1, kLocalChannels, 1, 1}));
     buffers_.emplace_back("local_output", torch::ones({1, kChannels, 1, 1}));
+  }
+}
+
+void Network::add_slope(const std::string& name) {
+  parameters_.emplace_back(name + "_slope", torch::full({architecture_.features}, 0.25).set_requires_grad(true));
+}
+
+void Network::add_residual_blocks() {
+  const int f = architecture_.features;
+  for (int d = 0; d < architecture_.blocks; ++d) {
+    const std::string block = "block" + std::to_string(d);
+    add_convolution(block + "_first", f, f, 3, false);
+    add_slope(block);
+    add_convolution(block + "_second", f, f, 3, false);
   }
 }
 
@@ -225,16 +255,18 @@ torch::Tensor Network::convolve(const torch::Tensor& x, const std::string& name,
 }
 
 void Network::set_mesh_base(const MeshBase& base, const Normalization& normalization, int height, int width) {
-  if (architecture_.residual != "mesh") return;
+  if (!needs_mesh(architecture_)) return;
   const std::int64_t texels = static_cast<std::int64_t>(height) * width, fine = texels * kScale * kScale;
-  if (base.vertices < 1 || static_cast<std::int64_t>(base.to_vertices.size()) != base.vertices * texels ||
+  const std::int64_t near =
+      base.vertices > 0 ? static_cast<std::int64_t>(base.vertex_texels.size()) / base.vertices : 0;
+  if (near < 1 || static_cast<std::int64_t>(base.vertex_texels.size()) != base.vertices * near ||
+      base.vertex_weights.size() != base.vertex_texels.size() ||
       static_cast<std::int64_t>(base.corners.size()) != 3 * fine || base.weights.size() != base.corners.size() ||
       static_cast<std::int64_t>(base.rest.size()) != 3 * texels ||
       static_cast<std::int64_t>(base.structure.size()) != kStructureChannels * texels) {
     throw_internal("mesh base: sizes contradict each other");
   }
   const auto device = parameters_.front().second.device();
-  const auto to_vertices = torch::tensor(base.to_vertices).view({base.vertices, texels}).t().contiguous();
   std::vector<float> minimum(kChannels), range(kChannels);
   for (std::size_t c = 0; c < kChannels; ++c) {
     minimum[c] = normalization.minimum[c];
@@ -244,7 +276,8 @@ void Network::set_mesh_base(const MeshBase& base, const Normalization& normaliza
       {"base_minimum", channel_tensor(minimum)},
       {"base_range", channel_tensor(range)},
       {"base_rest", torch::tensor(base.rest).view({1, 3, height, width})},
-      {"base_vertices", to_vertices},
+      {"base_vertex_texels", torch::tensor(base.vertex_texels).view({base.vertices, near})},
+      {"base_vertex_weights", torch::tensor(base.vertex_weights).view({base.vertices, near})},
       {"base_corners", torch::tensor(base.corners).view({3, fine})},
       {"base_weights", torch::tensor(base.weights).view({3, fine})},
       {"base_structure", torch::tensor(base.structure).view({1, kStructureChannels, height, width})}};
@@ -256,14 +289,45 @@ void Network::set_mesh_base(const MeshBase& base, const Normalization& normaliza
 
 torch::Tensor Network::base_image(const torch::Tensor& x) const {
   // Around the middle of the range, so that a fit that is not exact stays harmless.
-  const auto vertices = torch::matmul(x.flatten(2) - 0.5, get("base_vertices"));
+  const auto& texels = get("base_vertex_texels");
+  const auto near = (x.flatten(2) - 0.5).index_select(2, texels.flatten());
+  const auto vertices =
+      (near.view({x.size(0), x.size(1), texels.size(0), texels.size(1)}) * get("base_vertex_weights")).sum(3);
   const auto &corners = get("base_corners"), &weights = get("base_weights");
   auto image = torch::full({1}, 0.5, x.options());
   for (int k = 0; k < 3; ++k) image = image + vertices.index_select(2, corners[k]) * weights[k];
   return image.view({x.size(0), x.size(1), x.size(2) * kScale, x.size(3) * kScale});
 }
 
+torch::Tensor Network::prelu(const torch::Tensor& x, const std::string& name) const {
+  const auto slope = get(name + "_slope").to(x.scalar_type()).view({1, -1, 1, 1});
+  return torch::relu(x) - slope * torch::relu(-x);
+}
+
+torch::Tensor Network::residual_blocks(torch::Tensor features) const {
+  for (int d = 0; d < architecture_.blocks; ++d) {
+    const std::string block = "block" + std::to_string(d);
+    features = convolve(prelu(convolve(features, block + "_first", 3), block), block + "_second", 3) + features;
+  }
+  return features;
+}
+
+torch::Tensor Network::chen_forward(const torch::Tensor& x, torch::ScalarType body) const {
+  const auto minimum = get("base_minimum").slice(1, 0, 3), range = get("base_range").slice(1, 0, 3);
+  const auto& rest = get("base_rest");
+  const auto unit = range.mean();
+  const auto positions = (x.slice(1, 0, 3) * range + minimum + rest) / unit;
+  const auto shallow = prelu(convolve(positions, "shallow0", 3), "shallow0").to(body);
+  auto features = convolve(residual_blocks(shallow), "global1", 3) + shallow;
+  for (const char* stage : {"stage0", "stage1"}) {
+    features = prelu(torch::pixel_shuffle(convolve(features, stage, 3), 2), stage);
+  }
+  const auto answer = convolve(features, "last", 3).to(x.scalar_type()) * unit;
+  return torch::cat({(answer - base_image(rest) - minimum) / range, upsample_bilinear(x.slice(1, 3, kChannels))}, 1);
+}
+
 torch::Tensor Network::forward(const torch::Tensor& x, torch::ScalarType body) const {
+  if (architecture_.kind == "chen2018") return chen_forward(x, body);
   if (architecture_.residual == "mesh") return forward(x, base_image(x), get("base_structure"), body);
   const auto output = body_forward(x, {}, body);
   return architecture_.residual == "bilinear" ? output + upsample_bilinear(x) : output;
@@ -290,16 +354,21 @@ torch::Tensor Network::body_forward(const torch::Tensor& x, const torch::Tensor&
   if (structure.defined()) input = torch::cat({input, structure.expand({x.size(0), -1, -1, -1})}, 1);
   const auto shallow = convolve(input, "shallow0", 3);
   auto features = convolve(shallow, "shallow1", 3).to(body);
-  std::vector<torch::Tensor> hierarchy;
-  for (int d = 0; d < a.blocks; ++d) {
-    std::vector<torch::Tensor> dense{features};
-    for (int c = 0; c < a.layers; ++c) {
-      dense.push_back(torch::relu(convolve(torch::cat(dense, 1), dense_name(d, c), 3)));
+  if (a.kind == "srresnet") {
+    features = residual_blocks(features);
+  } else {
+    std::vector<torch::Tensor> hierarchy;
+    for (int d = 0; d < a.blocks; ++d) {
+      std::vector<torch::Tensor> dense{features};
+      for (int c = 0; c < a.layers; ++c) {
+        dense.push_back(torch::relu(convolve(torch::cat(dense, 1), dense_name(d, c), 3)));
+      }
+      features = convolve(torch::cat(dense, 1), fusion_name(d), 1) + features;
+      hierarchy.push_back(features);
     }
-    features = convolve(torch::cat(dense, 1), fusion_name(d), 1) + features;
-    hierarchy.push_back(features);
+    features = convolve(torch::cat(hierarchy, 1), "global0", 1);
   }
-  features = convolve(convolve(torch::cat(hierarchy, 1), "global0", 1), "global1", 3) + shallow.to(body);
+  features = convolve(features, "global1", 3) + shallow.to(body);
   const bool subpixel = a.upsampling == "subpixel";
   if (!subpixel) features = upsample_bilinear(features);
   std::vector<torch::Tensor> heads;
@@ -339,14 +408,69 @@ std::vector<std::string> Network::float32_parameters() {
   return {"shallow", "input_", "detail_", "output_", "base_", "local_"};
 }
 
+namespace {
+
+// Parts of TorchScript.
+std::string convolution(const std::string& x, const std::string& name, int kernel) {
+  const std::string p = std::to_string(kernel / 2);
+  return "torch.conv2d(" + x + ", self." + name + "_weight, self." + name + "_bias, [1, 1], [" + p + ", " + p + "])";
+}
+
+std::string prelu_of(const std::string& x, const std::string& name) {
+  return "  " + x + " = torch.relu(" + x + ") - self." + name + "_slope.view([1, -1, 1, 1]) * torch.relu(-" + x + ")\n";
+}
+
+/// Residual blocks on f.
+std::string residual_script(int blocks) {
+  std::string out;
+  for (int d = 0; d < blocks; ++d) {
+    const std::string block = "block" + std::to_string(d);
+    out += "  a = " + convolution("f", block + "_first", 3) + "\n" + prelu_of("a", block);
+    out += "  f = " + convolution("a", block + "_second", 3) + " + f\n";
+  }
+  return out;
+}
+
+/// Adds the upsampled mesh of the image `x` to `z`, an image in rows, where 0.5 is added already.
+std::string mesh_script(const std::string& x, const std::string& z) {
+  std::string out = "  v = torch.index_select(" + x + ".flatten(2) - 0.5, 2, self.base_vertex_texels.flatten())\n" +
+                    "  v = torch.sum(v.view([" + x + ".size(0), " + x +
+                    ".size(1), self.base_vertex_texels.size(0), self.base_vertex_texels.size(1)]) * "
+                    "self.base_vertex_weights, [3])\n";
+  for (const char* k : {"0", "1", "2"}) {
+    out += "  " + z + " = " + z + " + torch.index_select(v, 2, self.base_corners[" + k + "]) * self.base_weights[" + k +
+           "]\n";
+  }
+  return out;
+}
+
+const char* const kFineSize = "[x.size(2) * 4, x.size(3) * 4]";
+
+}  // namespace
+
+std::string Network::chen_script() const {
+  std::string out =
+      "def forward(self, x):\n"
+      "  m = self.base_minimum[:, 0:3]\n"
+      "  r = self.base_range[:, 0:3]\n"
+      "  p = (x[:, 0:3] * r + m + self.base_rest) / torch.mean(r)\n";
+  out += "  s = " + convolution("p", "shallow0", 3) + "\n" + prelu_of("s", "shallow0");
+  out += "  s = s.to(self.global1_weight.dtype)\n  f = s\n" + residual_script(architecture_.blocks);
+  out += "  f = " + convolution("f", "global1", 3) + " + s\n";
+  for (const std::string stage : {"stage0", "stage1"}) {
+    out += "  f = torch.pixel_shuffle(" + convolution("f", stage, 3) + ", 2)\n" + prelu_of("f", stage);
+  }
+  out += "  y = " + convolution("f", "last", 3) +
+         ".to(x.dtype) * torch.mean(r)\n  z = torch.zeros_like(y).flatten(2) + 0.5\n";
+  out += mesh_script("self.base_rest", "z");
+  out += "  y = (y - z.view_as(y) - m) / r\n  return torch.cat([y, torch.upsample_bilinear2d(x[:, 3:9], ";
+  return out + kFineSize + ", False)], 1)\n";
+}
+
 std::string Network::script_source() const {
   const Architecture& a = architecture_;
+  if (a.kind == "chen2018") return chen_script();
   std::ostringstream out;
-  const auto convolution = [](const std::string& x, const std::string& name, int kernel) {
-    const std::string p = std::to_string(kernel / 2);
-    return "torch.conv2d(" + x + ", self." + name + "_weight, self." + name + "_bias, [1, 1], [" + p + ", " + p + "])";
-  };
-  const std::string size = "[x.size(2) * 4, x.size(3) * 4]";
   out << "def forward(self, x):\n";
   if (a.axes == "local") {
     out << kLocalScript;
@@ -360,8 +484,9 @@ std::string Network::script_source() const {
   // The type of the body is that of its weights, so one module serves float32 and bfloat16.
   out << "  s = " << convolution("i", "shallow0", 3) << "\n";
   out << "  f = " << convolution("s", "shallow1", 3) << ".to(self.global1_weight.dtype)\n";
+  if (a.kind == "srresnet") out << residual_script(a.blocks) << "  g = f\n";
   std::string hierarchy;
-  for (int d = 0; d < a.blocks; ++d) {
+  for (int d = 0; a.kind == "mfsr" && d < a.blocks; ++d) {
     std::string dense = "f";
     for (int c = 0; c < a.layers; ++c) {
       const std::string input = c == 0 ? "f" : "torch.cat([" + dense + "], 1)";
@@ -372,16 +497,18 @@ std::string Network::script_source() const {
     out << "  b" << d << " = f\n";
     hierarchy += (d == 0 ? "b" : ", b") + std::to_string(d);
   }
-  out << "  g = " << convolution("torch.cat([" + hierarchy + "], 1)", "global0", 1) << "\n";
+  if (a.kind == "mfsr") {
+    out << "  g = " << convolution("torch.cat([" + hierarchy + "], 1)", "global0", 1) << "\n";
+  }
   out << "  g = " << convolution("g", "global1", 3) << " + s.to(self.global1_weight.dtype)\n";
   if (a.upsampling == "subpixel") {
     out << "  y = torch.pixel_shuffle(" << convolution("g", "heads", 3) << ".to(x.dtype), 4)\n";
   } else {
-    out << "  g = torch.upsample_bilinear2d(g, " << size << ", False)\n";
+    out << "  g = torch.upsample_bilinear2d(g, " << kFineSize << ", False)\n";
     out << "  y = " << convolution("g", "heads", 3) << ".to(x.dtype)\n";
   }
   if (a.axes == "local") {
-    out << "  y = y * self.local_output\n  e = torch.upsample_bilinear2d(torch.cat([t, s2, n], 1), " << size
+    out << "  y = y * self.local_output\n  e = torch.upsample_bilinear2d(torch.cat([t, s2, n], 1), " << kFineSize
         << ", False)\n"
         << "  y = torch.cat([";
     for (int g = 0; g < kChannels; g += 3) {
@@ -395,13 +522,10 @@ std::string Network::script_source() const {
   } else if (a.conditioned) {
     out << "  y = y * self.output_deviation\n";
   }
-  if (a.residual == "bilinear") out << "  y = y + torch.upsample_bilinear2d(x, " << size << ", False)\n";
+  if (a.residual == "bilinear") out << "  y = y + torch.upsample_bilinear2d(x, " << kFineSize << ", False)\n";
   if (a.residual == "mesh") {
-    out << "  v = torch.matmul(x.flatten(2) - 0.5, self.base_vertices)\n  z = y.flatten(2) + 0.5\n";
-    for (int k = 0; k < 3; ++k) {
-      out << "  z = z + torch.index_select(v, 2, self.base_corners[" << k << "]) * self.base_weights[" << k << "]\n";
-    }
-    out << "  y = z.view([x.size(0), x.size(1), x.size(2) * 4, x.size(3) * 4])\n";
+    out << "  z = y.flatten(2) + 0.5\n"
+        << mesh_script("x", "z") << "  y = z.view([x.size(0), x.size(1), x.size(2) * 4, x.size(3) * 4])\n";
   }
   out << "  return y\n";
   return out.str();
@@ -414,10 +538,12 @@ torch::jit::Module Network::to_script() const {
   for (const auto& [name, value] : parameters_) {
     if (name.rfind("head_", 0) != 0) module.register_parameter(name, copy(value), false);
   }
-  for (const char* part : {"_weight", "_bias"}) {
+  const bool has_heads = architecture_.kind != "chen2018";
+  for (const std::string part : {"_weight", "_bias"}) {
+    if (!has_heads) break;
     std::vector<torch::Tensor> heads;
     for (const char* head : kHeads) heads.push_back(copy(get(std::string("head_") + head + part)));
-    module.register_parameter(std::string("heads") + part, torch::cat(heads, 0), false);
+    module.register_parameter("heads" + part, torch::cat(heads, 0), false);
   }
   for (const auto& [name, value] : buffers_) module.register_buffer(name, copy(value));
   module.define(script_source());

@@ -1,4 +1,4 @@
-// The [MFSR] network as a value: named parameters, a differentiable forward pass and its TorchScript twin.
+// The networks of the registry as values: named parameters, a differentiable forward pass and its TorchScript twin.
 // Inside services/superres only: this header needs LibTorch.
 #pragma once
 
@@ -30,6 +30,9 @@ struct Conditioning {
 ///   s0 = conv3(x), f0 = conv3(s0); block d: dense conv3 + ReLU layers, conv1 fusion, + its input;
 ///   g = conv3(conv1(concat of all blocks)) + s0; upsampling; one conv3 for each of displacement, normal, velocity.
 /// Upsampling is bilinear with align_corners = false, which fits texel centres at (i + 0.5) / size.
+/// Kind "srresnet": a block is f + conv3(prelu(conv3(f))), and g = conv3(f) + s0 (SRResNet without its normalisation by
+/// batches, which later work found harmful). Kind "chen2018": the same body on positions in place of the nine channels,
+/// two sub-pixel stages of factor two and one convolution to positions; normals and velocities are interpolated.
 class Network {
  public:
   /// Fresh weights from `seed`: uniform in +-1/sqrt(fan in), the same values on every machine. With a residual the
@@ -37,8 +40,8 @@ class Network {
   /// validate(architecture).
   Network(const Architecture& architecture, std::uint64_t seed);
 
-  /// Sets the constants of a network with residual "mesh" for coarse images of height x width texels. Throws kInternal
-  /// if the sizes contradict each other.
+  /// Sets the constants of a network that needs_mesh(), for coarse images of height x width texels. No effect on
+  /// others. Throws kInternal if the sizes contradict each other.
   void set_mesh_base(const MeshBase& base, const Normalization& normalization, int height, int width);
 
   /// Sets the constants of a conditioned network; no effect on others. Throws kInvalidArgument unless nine finite
@@ -53,7 +56,8 @@ class Network {
   torch::Tensor forward(const torch::Tensor& x, const torch::Tensor& base, const torch::Tensor& structure,
                         torch::ScalarType body) const;
 
-  /// x: (N, 9, h, w) of the whole image. Returns (N, 9, 4h, 4w): the barycentrically upsampled mesh. Residual "mesh".
+  /// x: (N, C, h, w) of the whole image. Returns (N, C, 4h, 4w): the barycentrically upsampled mesh. Needs the mesh's
+  /// constants.
   torch::Tensor base_image(const torch::Tensor& x) const;
 
   /// Parameters by name, in a fixed order; weights (out, in, k, k) and biases (out).
@@ -75,8 +79,14 @@ class Network {
   const torch::Tensor& get(const std::string& name) const;
   torch::Tensor body_forward(const torch::Tensor& x, const torch::Tensor& structure, torch::ScalarType body) const;
   torch::Tensor convolve(const torch::Tensor& x, const std::string& name, int kernel) const;
+  torch::Tensor chen_forward(const torch::Tensor& x, torch::ScalarType body) const;
+  torch::Tensor residual_blocks(torch::Tensor features) const;
+  torch::Tensor prelu(const torch::Tensor& x, const std::string& name) const;
   void add_convolution(const std::string& name, int in, int out, int kernel, bool zero);
+  void add_slope(const std::string& name);
+  void add_residual_blocks();
   std::string script_source() const;
+  std::string chen_script() const;
 
   Architecture architecture_;
   std::uint64_t random_state_;

@@ -14,12 +14,6 @@ namespace {
 /// Frames of one stream in work at once: one is being answered while the next is read and checked.
 constexpr std::size_t kConcurrency = 2;
 
-void keep_displacement(Tensor& image) {
-  image.values.resize(image.values.size() / kChannels * 3);
-  image.channels.resize(3);
-  image.shape[0] = 3;
-}
-
 std::string without_extension(const std::string& name) {
   return name.size() > 3 && name.ends_with(".pt") ? name.substr(0, name.size() - 3) : name;
 }
@@ -57,17 +51,17 @@ std::shared_ptr<Batcher> SuperResolutionService::batcher(const std::string& requ
   batching.latency = std::chrono::microseconds(static_cast<std::int64_t>(1000 * options_.batch_latency_ms));
   const telemetry::StageTimer timer;
   auto loaded = std::make_shared<Engine>(engine, name);
-  const EngineStatus& status = loaded->status();
-  spdlog::info("model {}: {} parameters, {} on {} ({}, {} threads), ready after {:.0f} ms", name,
-               loaded->describe().parameters, status.precision, status.device, status.processor, status.threads,
-               timer.milliseconds());
+  const EngineStatus status = loaded->status();
+  spdlog::info("model {}: {} parameters, {} on {} ({}; {}, {} threads), ready after {:.0f} ms", name,
+               loaded->describe().parameters, status.precision, status.device, status.processor, status.kernels,
+               status.threads, timer.milliseconds());
   return batchers_.emplace(name, std::make_shared<Batcher>(std::move(loaded), batching)).first->second;
 }
 
 void SuperResolutionService::describe(const std::string& name, const Metadata& metadata,
                                       v1::ModelDescription* message) {
   message->set_model(name);
-  message->set_architecture(metadata.kind);
+  message->set_architecture(metadata.architecture.kind);
   message->set_parameters(static_cast<std::uint64_t>(std::max<std::int64_t>(0, metadata.parameters)));
   message->set_scale(static_cast<std::uint32_t>(metadata.scale));
   for (const auto& channel : metadata.channels) message->add_channels(channel);
@@ -82,8 +76,9 @@ void SuperResolutionService::describe(const std::string& name, const Metadata& m
   message->set_metadata_json(to_json(metadata));
   const std::lock_guard lock(mutex_);
   if (const auto it = batchers_.find(name); it != batchers_.end()) {
-    message->set_device(it->second->engine().status().device);
-    message->set_precision(it->second->engine().status().precision);
+    const EngineStatus status = it->second->engine().status();
+    message->set_device(status.device);
+    message->set_precision(status.precision);
   }
 }
 
@@ -121,10 +116,9 @@ grpc::Status SuperResolutionService::Upscale(
         describe(without_extension(open.model().empty() ? options_.model : open.model()), loaded->engine().describe(),
                  opened);
         auto session = loaded->open_session();
-        return [loaded, session, displacement_only = open.displacement_only()](const v1::ImageFrame& request,
-                                                                               v1::ImageFrame* response) {
-          Tensor image = loaded->submit(from_message(request.image(), "frame.image")).get();
-          if (displacement_only) keep_displacement(image);
+        return [loaded, session, channels = open.displacement_only() ? 3 : kChannels](const v1::ImageFrame& request,
+                                                                                      v1::ImageFrame* response) {
+          const Tensor image = loaded->submit(from_message(request.image(), "frame.image"), channels).get();
           response->set_index(request.index());
           response->set_time_s(request.time_s());
           *response->mutable_alignment() = request.alignment();

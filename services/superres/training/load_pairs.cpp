@@ -11,6 +11,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/conversion/image_map.hpp"
+#include "services/superres/training/make_mesh_base.hpp"
 #include "services/superres/training/pairs.hpp"
 
 namespace pleat::superres {
@@ -119,93 +120,6 @@ void extend(Normalization& range, const Tensor& image, const std::vector<std::ui
   }
 }
 
-/// The constants of residual "mesh". The maps are linear in the vertices, so unit vectors show their columns: three at
-/// a time, one in each displacement channel.
-MeshBase make_mesh_base(const MeshPair& pair, const Subdivision& subdivision, ImageSpec spec) {
-  spec.method = FineImageMethod::kSampled;
-  const ImageMap map(pair.coarse, pair.fine, spec);
-  const Eigen::Index vertices = pair.coarse.vertex_count();
-  const Eigen::Index texels = Eigen::Index{map.coarse_width()} * map.coarse_height();
-  const auto fine_texels = static_cast<std::size_t>(texels) * kScale * kScale;
-  Eigen::MatrixXd sampling = Eigen::MatrixXd::Zero(texels, vertices);
-  std::vector<std::vector<std::pair<float, std::int64_t>>> corners(fine_texels);
-  Tensor coarse_image, fine_image;
-  for (Eigen::Index first = 0; first < vertices; first += 3) {
-    Positions units = Positions::Zero(vertices, 3);
-    for (Eigen::Index k = 0; k < std::min<Eigen::Index>(3, vertices - first); ++k) units(first + k, k) = 1;
-    Frame coarse, fine;
-    coarse.positions = pair.coarse.rest_positions + units;
-    fine.positions = pair.fine.rest_positions + upsample(subdivision, pair.coarse.faces, units);
-    map.coarse_image(coarse, RigidTransform{}, coarse_image);
-    map.fine_image(fine, RigidTransform{}, fine_image);
-    for (Eigen::Index k = 0; k < std::min<Eigen::Index>(3, vertices - first); ++k) {
-      const float* c = coarse_image.values.data() + k * texels;
-      for (Eigen::Index t = 0; t < texels; ++t) sampling(t, first + k) = c[t];
-      const float* f = fine_image.values.data() + static_cast<std::size_t>(k) * fine_texels;
-      for (std::size_t t = 0; t < fine_texels; ++t) {
-        if (f[t] > 1e-4F) corners[t].emplace_back(f[t], first + k);
-      }
-    }
-  }
-  // A trace of regularisation decides vertices that no coarse texel sees.
-  Eigen::MatrixXd normal = sampling.transpose() * sampling;
-  normal.diagonal().array() += 1e-7;
-  const Eigen::MatrixXd inverse = normal.ldlt().solve(sampling.transpose());
-
-  MeshBase base;
-  base.vertices = vertices;
-  base.to_vertices.reserve(static_cast<std::size_t>(inverse.size()));
-  for (Eigen::Index v = 0; v < vertices; ++v) {
-    for (Eigen::Index t = 0; t < texels; ++t) base.to_vertices.push_back(static_cast<float>(inverse(v, t)));
-  }
-  const Eigen::MatrixXd rest = sampling * pair.coarse.rest_positions.cast<double>();
-  for (Eigen::Index axis = 0; axis < 3; ++axis) {
-    for (Eigen::Index t = 0; t < texels; ++t) base.rest.push_back(static_cast<float>(rest(t, axis)));
-  }
-  base.corners.assign(3 * fine_texels, 0);
-  base.weights.assign(3 * fine_texels, 0);
-  base.structure.assign(kStructureChannels * static_cast<std::size_t>(texels), 0);
-  const auto width = static_cast<std::size_t>(map.fine_width());
-  for (std::size_t t = 0; t < fine_texels; ++t) {
-    auto& list = corners[t];
-    std::sort(list.rbegin(), list.rend());
-    list.resize(3);
-    const float sum = list[0].first + list[1].first + list[2].first;
-    for (std::size_t k = 0; k < 3; ++k) {
-      const float weight = sum > 0 ? list[k].first / sum : 0.0F;
-      base.corners[k * fine_texels + t] = list[k].second;
-      base.weights[k * fine_texels + t] = weight;
-      if (k == 2) continue;
-      // Between 1/3 and 1, and 0 and 1/2: brought to about -1 to 1.
-      const std::size_t row = t / width, column = t % width;
-      const std::size_t channel = kScale * kScale * k + kScale * (row % kScale) + column % kScale;
-      base.structure[(channel * static_cast<std::size_t>(map.coarse_height()) + row / kScale) * (width / kScale) +
-                     column / kScale] = k == 0 ? 3 * weight - 2 : 4 * weight - 1;
-    }
-  }
-  return base;
-}
-
-/// The base image (9, H, W) of a normalised coarse image.
-std::vector<float> base_image(const MeshBase& base, const std::vector<float>& coarse) {
-  using RowMajor = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  const auto texels = static_cast<Eigen::Index>(coarse.size()) / kChannels;
-  const Eigen::Map<const RowMajor> image(coarse.data(), kChannels, texels);
-  const Eigen::Map<const RowMajor> to_vertices(base.to_vertices.data(), base.vertices, texels);
-  const RowMajor vertices = (image.array() - 0.5F).matrix() * to_vertices.transpose();
-  const std::size_t plane = base.corners.size() / 3;
-  std::vector<float> result(kChannels * plane, 0.5F);
-  for (std::size_t c = 0; c < kChannels; ++c) {
-    const float* values = vertices.data() + c * static_cast<std::size_t>(base.vertices);
-    for (std::size_t k = 0; k < 3; ++k) {
-      for (std::size_t t = 0; t < plane; ++t) {
-        result[c * plane + t] += base.weights[k * plane + t] * values[base.corners[k * plane + t]];
-      }
-    }
-  }
-  return result;
-}
-
 class Judge : public MeshJudge {
  public:
   Judge(std::unique_ptr<ImageMap> map, const MeshPair& pair, const Normalization& normalization)
@@ -221,7 +135,6 @@ class Judge : public MeshJudge {
     Positions coarse, fine;
     RigidTransform transform;
   };
-  const Subdivision& subdivision() const { return subdivision_; }
   void add(std::size_t sequence, std::size_t frame, Truth truth) { truths_[{sequence, frame}] = std::move(truth); }
 
   double squared_error(std::size_t sequence, std::size_t frame, std::span<const float> fine_image) override {
@@ -314,8 +227,7 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
   }
   const auto coarse_texels =
       static_cast<std::size_t>(map->coarse_width()) * static_cast<std::size_t>(map->coarse_height());
-  const bool mesh = config.architecture.residual == "mesh";
-  const std::size_t value = (config.cache == "float32" ? 4 : 2) * (mesh ? 2 : 1);
+  const std::size_t value = config.cache == "float32" ? 4 : 2;
   const std::size_t megabytes = frames * kChannels * coarse_texels * (1 + kScale * kScale) * value >> 20;
   if (megabytes > static_cast<std::size_t>(config.cache_limit_mb)) {
     throw Error(ErrorCode::kResourceExhausted,
@@ -362,7 +274,7 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
       master.topology, data.normalization);
   json names = {{"train", json::array()}, {"validation", json::array()}};
   std::size_t clamped = 0;
-  if (mesh) data.mesh_base = make_mesh_base(master.topology, judge->subdivision(), make_spec(config.images));
+  if (needs_mesh(config.architecture)) data.mesh_base = make_mesh_base(master.topology, make_spec(config.images));
   for (const SequenceInfo& info : sequences) {
     PairSequence sequence;
     sequence.name = info.name;
@@ -373,17 +285,12 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
     sequence.fine = ImageStore(map->fine_height(), map->fine_width(), fixed_point);
     sequence.coarse.reserve(info.frames_complete);
     sequence.fine.reserve(info.frames_complete);
-    if (mesh) {
-      sequence.base = ImageStore(map->fine_height(), map->fine_width(), fixed_point);
-      sequence.base.reserve(info.frames_complete);
-    }
     converter.run(info, 1, [&](std::uint64_t index, Converter::Converted& frame) {
       scale_to_unit(frame.coarse, data.normalization);
       scale_to_unit(frame.fine, data.normalization);
       for (const float v : frame.fine.values) clamped += fixed_point && (v < -0.5F || v >= 1.5F) ? 1 : 0;
       sequence.coarse.append(frame.coarse.values);
       sequence.fine.append(frame.fine.values);
-      if (mesh) sequence.base.append(base_image(data.mesh_base, frame.coarse.values));
       std::array<float, 9> rotation{};
       for (std::size_t i = 0; i < 9; ++i) {
         rotation[i] = frame.transform.rotation(static_cast<Eigen::Index>(i / 3), static_cast<Eigen::Index>(i % 3));

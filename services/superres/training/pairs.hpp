@@ -44,8 +44,7 @@ class ImageStore {
 struct PairSequence {
   std::string name;
   bool validation = false;
-  ImageStore coarse, fine;  ///< normalised, one image a frame; coarse ones are kept exactly
-  ImageStore base;          ///< residual "mesh": fine images of the upsampled coarse mesh, else empty
+  ImageStore coarse, fine;                      ///< normalised, one image a frame; coarse ones are kept exactly
   std::vector<std::array<float, 9>> rotations;  ///< of the rigid alignment (world to rest), row-major, per frame
 };
 
@@ -58,7 +57,7 @@ struct PairData {
   std::string topology_hash;  ///< of the coarse mesh
   std::string image_spec = "{}";
   std::string description = "{}";  ///< JSON about the data set, for the bundle
-  MeshBase mesh_base;              ///< residual "mesh", else empty
+  MeshBase mesh_base;              ///< for networks that need the mesh, else empty
   /// Directions of u and v in the rest mesh if that is flat, else empty. Needed for mirrored copies.
   std::vector<std::array<float, 3>> sheet_axes;
 

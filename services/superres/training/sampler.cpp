@@ -123,6 +123,7 @@ Sampler::Sampler(const TrainConfig& config, const PairData& data) : config_(conf
     if (data.mesh_base.structure.size() != static_cast<std::size_t>(kStructureChannels * height * width)) {
       throw_invalid_argument("data set: no mesh base, which residual 'mesh' needs");
     }
+    mesh_ = std::make_shared<cpu::UpsampledMesh>(data.mesh_base, height, width);
     // As a fine image, whose parts and mirror images are easy to take.
     structure_ = torch::pixel_shuffle(
         torch::tensor(data.mesh_base.structure).view({1, kStructureChannels, height, width}), kScale);
@@ -203,9 +204,15 @@ Batch Sampler::batch(int epoch, int step) const {
         }
       }
       if (mesh) {
-        auto base = batch.base[n];
-        sequence.base.read(frame, kScale * row, kScale * column, fine_h, fine_w, base.data_ptr<float>());
-        if (mirror.any()) base.copy_(mirror_image(base.clone(), mirror, data_.normalization));
+        const int height = data_.coarse_height(), width = data_.coarse_width();
+        const auto whole = torch::empty({kChannels, height, width});
+        const auto upsampled = torch::empty({kChannels, kScale * height, kScale * width});
+        sequence.coarse.read(frame, 0, 0, height, width, whole.data_ptr<float>());
+        mesh_->image({whole.data_ptr<float>(), height, width}, upsampled.data_ptr<float>());
+        auto base =
+            upsampled.slice(1, kScale * row, kScale * row + fine_h).slice(2, kScale * column, kScale * column + fine_w);
+        if (mirror.any()) base = mirror_image(base, mirror, data_.normalization);
+        batch.base[n].copy_(base);
         auto structure = structure_.slice(2, kScale * row, kScale * row + fine_h)
                              .slice(3, kScale * column, kScale * column + fine_w);
         if (mirror.reverse_u) structure = structure.flip({3});

@@ -2,9 +2,11 @@
 // Inside services/superres only: this header needs LibTorch.
 #pragma once
 
+#include <memory>
 #include <string>
 #include <vector>
 
+#include "services/superres/cpu/texels.hpp"
 #include "services/superres/training/losses.hpp"
 #include "services/superres/training/pairs.hpp"
 
@@ -36,6 +38,7 @@ class Sampler {
   int frames_, patch_height_, patch_width_, steps_;
   std::vector<Window> windows_;
   torch::Tensor structure_;  ///< (1, 2, H, W)
+  std::shared_ptr<const cpu::UpsampledMesh> mesh_;
 };
 
 }  // namespace pleat::superres

@@ -10,10 +10,12 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
 #include "services/superres/bundle.hpp"
+#include "services/superres/cpu/texels.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/sampler.hpp"
 
@@ -105,7 +107,10 @@ class Statistics {
   double count_ = 0;
 };
 
-Conditioning measure(const PairData& data, bool local) {
+Conditioning measure(const PairData& data, const Architecture& architecture) {
+  const bool local = architecture.axes == "local";
+  std::optional<cpu::UpsampledMesh> mesh;
+  if (architecture.residual == "mesh") mesh.emplace(data.mesh_base, data.coarse_height(), data.coarse_width());
   const torch::NoGradGuard no_grad;
   const int h = data.coarse_height(), w = data.coarse_width();
   const std::size_t stride = std::max<std::size_t>(1, data.training_frames() / kConditioningFrames);
@@ -132,7 +137,7 @@ Conditioning measure(const PairData& data, bool local) {
       sequence.coarse.read(f, 0, 0, h, w, coarse.data_ptr<float>());
       sequence.fine.read(f, 0, 0, kScale * h, kScale * w, fine.data_ptr<float>());
       auto base = upsample_bilinear(coarse);
-      if (sequence.base.size() > f) sequence.base.read(f, 0, 0, kScale * h, kScale * w, base.data_ptr<float>());
+      if (mesh) mesh->image({coarse.data_ptr<float>(), h, w}, base.data_ptr<float>());
       input.add(coarse, all);
       detail.add(local_detail(coarse), all);
       output.add(fine - base, mask);
@@ -178,7 +183,7 @@ class Trainer {
     std::filesystem::create_directories(config_.output, error);
     if (error)
       throw Error(ErrorCode::kResourceExhausted, config_.output + ": can't make the folder: " + error.message());
-    const Conditioning conditioning = measure(data_, config_.architecture.axes == "local");
+    const Conditioning conditioning = measure(data_, config_.architecture);
     for (Network* network : {&network_, &averaged_}) {
       network->set_conditioning(conditioning);
       network->set_mesh_base(data_.mesh_base, data_.normalization, data_.coarse_height(), data_.coarse_width());

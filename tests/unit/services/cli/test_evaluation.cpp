@@ -110,8 +110,8 @@ TEST_F(Evaluation, OfTheBaselineOnTheTestSplit) {
   EXPECT_NEAR(values.sted.combined, 0, 1e-5);
   ASSERT_TRUE(values.psnr_db.has_value());
   EXPECT_NEAR(*values.psnr_db, psnr_db(kOffset * kOffset / 4 / 3), 1e-3);
-  EXPECT_GT(values.penetrations, 0u);
-  EXPECT_EQ(values.self_intersections, 0u);
+  EXPECT_GT(values.counts.penetrations, 0u);
+  EXPECT_EQ(values.counts.self_intersections, 0u);
 }
 
 TEST_F(Evaluation, OfAMethodWithoutErrorHasNoPsnrAndItsTimes) {
@@ -124,7 +124,7 @@ TEST_F(Evaluation, OfAMethodWithoutErrorHasNoPsnrAndItsTimes) {
   const auto figures = evaluate(dataset, {perfect}, {{"learn", "fall"}, 0}, [](auto, auto) {});
   EXPECT_EQ(figures[0].metrics.frames, 4u);
   EXPECT_EQ(figures[0].metrics.vmse_m2, 0);
-  EXPECT_EQ(figures[0].metrics.penetrations, 0u);
+  EXPECT_EQ(figures[0].metrics.counts.penetrations, 0u);
   ASSERT_EQ(figures[0].median_ms.size(), 1u);
   EXPECT_DOUBLE_EQ(figures[0].median_ms[0].second, 1.5);
   const nlohmann::json json = to_json(figures);
@@ -166,6 +166,31 @@ TEST_F(Evaluation, AsACommandPrintsJson) {
   ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
   const nlohmann::json json = nlohmann::json::parse(outcome.out);
   EXPECT_NEAR(json.at("barycentric").at("rmse_m").get<double>(), kOffset, 1e-6);
+  EXPECT_FALSE(json.contains("zurdo2013"));
+}
+
+TEST_F(Evaluation, ExamplesFromTheTrainingSplitAreABaseline) {
+  // The training sequence has the offset that the test sequence has, so that the examples know the answer.
+  const test::Outcome outcome = test::run(
+      test::built("pleat"), {"eval", "--dataset", folder_.string(), "--baselines", "--json"}, folder_ / "outcome");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
+  const nlohmann::json figures = nlohmann::json::parse(outcome.out).at("zurdo2013");
+  EXPECT_NEAR(figures.at("rmse_m").get<double>(), 0, 1e-6);
+  EXPECT_EQ(figures.at("penetrations_before"), figures.at("penetrations"));
+  EXPECT_GE(figures.at("examples_ms").get<double>(), 0);
+}
+
+TEST_F(Evaluation, CountsBeforeRefinementAreTheMethodsOwn) {
+  const DatasetReader dataset(folder_);
+  const Method refined{"refined", [&](const MethodInput& input, const auto& sink) {
+                         for (std::uint64_t k = 0; k < input.frames; ++k)
+                           sink(k, {dataset.fine(input.sequence, k, k + 1).at(0), {}, true, 7, 9});
+                       }};
+  const MetricValues values = evaluate(dataset, {refined}, {}, [](auto, auto) {})[0].metrics;
+  EXPECT_EQ(values.counts.penetrations_before, 14u);
+  EXPECT_EQ(values.counts.penetrations, 0u);
+  EXPECT_EQ(values.counts.self_intersections_before, 18u);
+  EXPECT_EQ(values.counts.self_intersections, 0u);
 }
 
 TEST(Quantile, InterpolatesBetweenOrderStatistics) {

@@ -195,6 +195,51 @@ TEST(Jitter, IgnoresAConstantOffset) {
   EXPECT_EQ(jitter.value(), 0);
 }
 
+TEST(Jitter, RatioComparesSecondDifferences) {
+  // The reference swings by 1 mm a frame, the candidate by 3 mm in the other direction.
+  JitterAccumulator jitter;
+  jitter.begin_sequence();
+  for (int k = 0; k < 5; ++k) {
+    Positions reference(1, 3), candidate(1, 3);
+    reference << (k % 2 == 0 ? 0.0f : 0.001f), 0, 0;
+    candidate << (k % 2 == 0 ? 0.0f : -0.003f), 0, 0;
+    jitter.add(reference, candidate);
+  }
+  EXPECT_NEAR(jitter.ratio(), 3, 1e-5);
+  EXPECT_NEAR(jitter.value(), 0.008, 1e-7);  // 2 (1 mm + 3 mm)
+  EXPECT_EQ(JitterAccumulator().ratio(), 1);
+}
+
+TEST(NormalAngle, OfATurnedTriangleIsTheTurn) {
+  // Lifting the third vertex from (0, 4, 0) to (0, 0, 4) turns the normal from z to -y.
+  Positions turned = triangle(4);
+  turned.row(2) << 0, 0, 4;
+  EXPECT_NEAR(mean_normal_angle(one_face(), triangle(4), turned), 90, 1e-5);
+  turned.row(2) << 0, 4, 4;
+  EXPECT_NEAR(mean_normal_angle(one_face(), triangle(4), turned), 45, 1e-5);
+  EXPECT_NEAR(mean_normal_angle(one_face(), triangle(4), triangle(8)), 0, 1e-6);
+}
+
+TEST(NormalAngle, IsTheMeanOverVertices) {
+  // Two faces in a plane; one folds up by a right angle. The outer vertices see 0 and 90 degrees, the two on the fold
+  // the mean of both normals, 45 degrees.
+  Positions flat(4, 3), folded(4, 3);
+  flat << 0, 0, 0, 0, 0, 1, 1, 0, 0.5f, -1, 0, 0.5f;
+  folded = flat;
+  folded.row(3) << 0, 1, 0.5f;
+  Faces faces(2, 3);
+  faces << 0, 1, 2, 1, 0, 3;
+  EXPECT_NEAR(mean_normal_angle(faces, flat, folded), (45 + 45 + 0 + 90) / 4.0, 1e-4);
+}
+
+TEST(Stretch, IsTheErrorOfEdgeLengthsOverRestLengths) {
+  // Rest 3, 4, 5. In the reference the edge of 4 has become 8 and that of 5 sqrt(73), in the candidate nothing changed.
+  const StretchError stretch(one_face(), triangle(4));
+  const double longest = (std::sqrt(73.0) - 5) / 5;
+  EXPECT_NEAR(stretch(triangle(8), triangle(4)), std::sqrt((0 + 1 + longest * longest) / 3), 1e-6);
+  EXPECT_NEAR(stretch(triangle(8), triangle(8)), 0, 1e-9);
+}
+
 TEST(DisplacementImageError, OfAConstantOffset) {
   const Topology coarse = grid(4, 1);
   const Topology fine = subdivide(coarse, 2).fine;
@@ -235,8 +280,8 @@ TEST(MetricsAccumulator, PoolsFramesAndSums) {
   Positions candidate = fine.rest_positions;
   candidate.col(1).array() += 0.2f;
   metrics.begin_sequence();
-  metrics.add(coarse.rest_positions, fine.rest_positions, fine.rest_positions, 0, 2);
-  metrics.add(coarse.rest_positions, fine.rest_positions, candidate, 3, 4);
+  metrics.add(coarse.rest_positions, fine.rest_positions, fine.rest_positions, {5, 0, 2, 2});
+  metrics.add(coarse.rest_positions, fine.rest_positions, candidate, {4, 3, 7, 4});
   const MetricValues values = metrics.values();
   EXPECT_EQ(values.frames, 2u);
   EXPECT_NEAR(values.vmse_m2, 0.04 / 2, 1e-8);
@@ -244,8 +289,13 @@ TEST(MetricsAccumulator, PoolsFramesAndSums) {
   EXPECT_NEAR(values.hausdorff_m, 0.1, 1e-7);
   ASSERT_TRUE(values.psnr_db.has_value());
   EXPECT_NEAR(*values.psnr_db, 10 * std::log10(1 / (0.04 / 3 / 2)), 1e-3);
-  EXPECT_EQ(values.penetrations, 3u);
-  EXPECT_EQ(values.self_intersections, 6u);
+  EXPECT_NEAR(values.rmse_relative, std::sqrt(0.02 / 2), 1e-7);  // the sheet's diagonal is sqrt(2)
+  EXPECT_NEAR(values.normal_angle_deg, 0, 1e-6);
+  EXPECT_NEAR(values.stretch, 0, 1e-7);
+  EXPECT_EQ(values.counts.penetrations_before, 9u);
+  EXPECT_EQ(values.counts.penetrations, 3u);
+  EXPECT_EQ(values.counts.self_intersections_before, 9u);
+  EXPECT_EQ(values.counts.self_intersections, 6u);
 }
 
 TEST(MetricsAccumulator, HasNoPsnrWithoutARange) {

@@ -58,7 +58,7 @@ class EngineTest : public testing::Test {
     torch::jit::Module module("Foreign");
     module.define(source);
     Metadata m = metadata(name);
-    m.kind = "foreign";
+    m.architecture.kind = "foreign";
     m.float32_parameters.clear();
     save_bundle(module, m, file(name));
   }
@@ -70,7 +70,6 @@ class EngineTest : public testing::Test {
     o.threads = 1;
     o.use_cuda = false;
     o.largest_batch = 2;
-    o.warm_up = 1;
     return o;
   }
 
@@ -143,9 +142,10 @@ TEST_F(EngineTest, Bfloat16OnlyWhereTheProcessorAndTheBundleHaveIt) {
   if (processor_has_bfloat16()) {
     Engine engine(options(Precision::kAuto), "small");
     EXPECT_EQ(engine.status().precision, "bfloat16");
+    // Eight bits, and an answer of up to 1.5 on inputs that are pure noise.
     EXPECT_LT(
         worst_difference(engine.upscale(image(5, 6)).values, Engine(options(), "small").upscale(image(5, 6)).values),
-        5e-3);
+        2e-2);
   } else {
     EXPECT_EQ(Engine(options(Precision::kAuto), "small").status().precision, "float32");
     EXPECT_EQ(error_of([&] { Engine(options(Precision::kBfloat16), "small"); }).code(), ErrorCode::kFailedPrecondition);

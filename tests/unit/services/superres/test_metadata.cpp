@@ -91,7 +91,7 @@ TEST(Metadata, TextThatIsNoJsonIsDataLoss) {
 TEST(Metadata, ForeignModulesNeedNoSizes) {
   json document = json::parse(to_json(example()));
   document["architecture"] = {{"kind", "diffusion"}};
-  EXPECT_EQ(metadata_from_json(document.dump(), "x").kind, "diffusion");
+  EXPECT_EQ(metadata_from_json(document.dump(), "x").architecture.kind, "diffusion");
 }
 
 }  // namespace

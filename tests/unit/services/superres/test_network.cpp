@@ -7,6 +7,7 @@
 
 #include "common/base/error.hpp"
 #include "services/superres/network.hpp"
+#include "tests/unit/services/superres/example_network.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -38,7 +39,8 @@ class Plain {
       outputs_[name] = static_cast<int>(value.size(0));
     }
     for (const auto& [name, value] : network.buffers()) {
-      for (std::int64_t c = 0; c < kChannels; ++c) values_[name].push_back(value.view({-1})[c].item<double>());
+      const auto flat = value.contiguous().view({-1});
+      for (std::int64_t i = 0; i < flat.numel(); ++i) values_[name].push_back(flat[i].item<double>());
     }
   }
 
@@ -47,7 +49,8 @@ class Plain {
     const Image shallow = convolve(input, "shallow0", 3);
     Image features = convolve(shallow, "shallow1", 3);
     std::vector<Image> blocks;
-    for (int d = 0; d < a_.blocks; ++d) {
+    if (a_.kind == "srresnet") features = residual_blocks(features);
+    for (int d = 0; a_.kind == "mfsr" && d < a_.blocks; ++d) {
       const std::string block = "block" + std::to_string(d);
       Image stack = features;
       for (int c = 0; c < a_.layers; ++c) {
@@ -58,11 +61,12 @@ class Plain {
       features = add(convolve(stack, block + "_fusion", 1), features);
       blocks.push_back(features);
     }
-    features = add(convolve(convolve(join(blocks), "global0", 1), "global1", 3), shallow);
+    if (a_.kind == "mfsr") features = convolve(join(blocks), "global0", 1);
+    features = add(convolve(features, "global1", 3), shallow);
     if (a_.upsampling == "bilinear") features = upsample(features);
     Image out = join({convolve(features, "head_displacement", 3), convolve(features, "head_normal", 3),
                       convolve(features, "head_velocity", 3)});
-    if (a_.upsampling == "subpixel") out = shuffle(out);
+    if (a_.upsampling == "subpixel") out = shuffle(out, 4);
     if (a_.conditioned) {
       for (int c = 0; c < kChannels; ++c) {
         for (int y = 0; y < out.height; ++y) {
@@ -71,6 +75,41 @@ class Plain {
       }
     }
     return a_.residual == "bilinear" ? add(out, upsample(x)) : out;
+  }
+
+  /// Displacements of the network on positions.
+  Image chen(const Image& x) const {
+    double unit = 0;
+    for (int c = 0; c < 3; ++c) unit += value("base_range", c) / 3;
+    const auto rest = [&](int c, int texel) { return value("base_rest", c * x.height * x.width + texel); };
+    Image positions(3, x.height, x.width);
+    for (int c = 0; c < 3; ++c) {
+      for (int i = 0; i < x.height * x.width; ++i) {
+        const double d = x.at(c, i / x.width, i % x.width) * value("base_range", c) + value("base_minimum", c);
+        positions.at(c, i / x.width, i % x.width) = (d + rest(c, i)) / unit;
+      }
+    }
+    const Image shallow = prelu(convolve(positions, "shallow0", 3), "shallow0");
+    Image features = add(convolve(residual_blocks(shallow), "global1", 3), shallow);
+    for (const char* stage : {"stage0", "stage1"}) features = prelu(shuffle(convolve(features, stage, 3), 2), stage);
+    Image out = convolve(features, "last", 3);
+    const int fine = out.height * out.width;
+    for (int c = 0; c < 3; ++c) {
+      for (int i = 0; i < fine; ++i) {
+        double fine_rest = 0.5;
+        for (int k = 0; k < 3; ++k) {
+          const int vertex = static_cast<int>(value("base_corners", k * fine + i));
+          for (int j = 0; j < kNear; ++j) {
+            const int texel = static_cast<int>(value("base_vertex_texels", vertex * kNear + j));
+            fine_rest += value("base_weights", k * fine + i) * value("base_vertex_weights", vertex * kNear + j) *
+                         (rest(c, texel) - 0.5);
+          }
+        }
+        double& v = out.at(c, i / out.width, i % out.width);
+        v = (v * unit - fine_rest - value("base_minimum", c)) / value("base_range", c);
+      }
+    }
+    return out;
   }
 
  private:
@@ -139,12 +178,32 @@ class Plain {
     return out;
   }
 
-  static Image shuffle(const Image& x) {
-    Image out(x.channels / 16, 4 * x.height, 4 * x.width);
+  Image residual_blocks(Image features) const {
+    for (int d = 0; d < a_.blocks; ++d) {
+      const std::string block = "block" + std::to_string(d);
+      const Image inner = prelu(convolve(features, block + "_first", 3), block);
+      features = add(convolve(inner, block + "_second", 3), features);
+    }
+    return features;
+  }
+
+  Image prelu(Image x, const std::string& name) const {
+    for (int c = 0; c < x.channels; ++c) {
+      for (int i = 0; i < x.height * x.width; ++i) {
+        double& v = x.at(c, i / x.width, i % x.width);
+        if (v < 0) v *= value(name + "_slope", c);
+      }
+    }
+    return x;
+  }
+
+  static Image shuffle(const Image& x, int scale) {
+    const int square = scale * scale;
+    Image out(x.channels / square, scale * x.height, scale * x.width);
     for (int c = 0; c < out.channels; ++c) {
       for (int y = 0; y < out.height; ++y) {
         for (int column = 0; column < out.width; ++column) {
-          out.at(c, y, column) = x.at(16 * c + 4 * (y % 4) + column % 4, y / 4, column / 4);
+          out.at(c, y, column) = x.at(square * c + scale * (y % scale) + column % scale, y / scale, column / scale);
         }
       }
     }
@@ -177,45 +236,16 @@ class Plain {
   std::map<std::string, int> outputs_;
 };
 
-Architecture small(const std::string& upsampling, const std::string& residual, bool conditioned) {
-  return {2, 3, 4, 6, upsampling, residual, "aligned", conditioned};
-}
-
-Network make(const Architecture& architecture) {
-  Network network(architecture, 5);
-  if (architecture.conditioned) {
-    Conditioning conditioning;
-    for (int c = 0; c < kChannels; ++c) {
-      const auto v = static_cast<float>(c);
-      conditioning.input_mean.push_back(0.4F + 0.01F * v);
-      conditioning.input_deviation.push_back(0.5F + 0.1F * v);
-      conditioning.detail_deviation.push_back(0.2F + 0.1F * v);
-      conditioning.output_deviation.push_back(0.3F + 0.1F * v);
-    }
-    network.set_conditioning(conditioning);
-  }
-  // Heads of a residual network begin at zero: give them values, or they would hide everything before them.
-  const torch::NoGradGuard no_grad;
-  for (auto [name, value] : network.parameters()) {
-    if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.2, 0.3, value.numel()).view(value.sizes()));
-  }
-  return network;
-}
-
-torch::Tensor example_input(std::int64_t batch, std::int64_t height, std::int64_t width) {
-  const auto ramp = torch::arange(batch * kChannels * height * width, torch::kFloat32);
-  return (0.5 + 0.45 * torch::sin(ramp * 0.37)).view({batch, kChannels, height, width});
-}
-
-class NetworkVariants : public testing::TestWithParam<std::tuple<const char*, const char*, bool>> {
+class NetworkVariants : public testing::TestWithParam<std::tuple<const char*, const char*, bool, const char*>> {
  protected:
   Architecture architecture() const {
-    return small(std::get<0>(GetParam()), std::get<1>(GetParam()), std::get<2>(GetParam()));
+    const auto& [upsampling, residual, conditioned, kind] = GetParam();
+    return small(upsampling, residual, conditioned, "aligned", kind);
   }
 };
 
 TEST_P(NetworkVariants, AgreesWithPlainLoops) {
-  const Network network = make(architecture());
+  const Network network = make_network(architecture());
   const auto x = example_input(1, 7, 9);
   const Image expected = Plain(network).forward(from_tensor(x));
   const Image actual = from_tensor(network.forward(x));
@@ -230,7 +260,7 @@ TEST_P(NetworkVariants, AgreesWithPlainLoops) {
 }
 
 TEST_P(NetworkVariants, ScriptIsTheSameFunction) {
-  const Network network = make(architecture());
+  const Network network = make_network(architecture());
   auto module = network.to_script();
   const auto x = example_input(3, 5, 6);
   const auto difference = (module.forward({x}).toTensor() - network.forward(x)).abs().max().item<double>();
@@ -239,7 +269,48 @@ TEST_P(NetworkVariants, ScriptIsTheSameFunction) {
 
 INSTANTIATE_TEST_SUITE_P(All, NetworkVariants,
                          testing::Combine(testing::Values("bilinear", "subpixel"), testing::Values("none", "bilinear"),
-                                          testing::Bool()));
+                                          testing::Bool(), testing::Values("mfsr", "srresnet")));
+
+class ChenNetwork : public testing::Test {
+ protected:
+  const Network network_ = make_network(small("subpixel", "none", false, "aligned", "chen2018"));
+  const torch::Tensor x_ = example_input(1, kMeshHeight, kMeshWidth);
+};
+
+TEST_F(ChenNetwork, AgreesWithPlainLoops) {
+  const Image expected = Plain(network_).chen(from_tensor(x_));
+  const Image actual = from_tensor(network_.forward(x_));
+  ASSERT_EQ(actual.values.size(), 16 * static_cast<std::size_t>(x_.numel()));
+  double worst = 0;
+  for (int c = 0; c < 3; ++c) {
+    for (int y = 0; y < expected.height; ++y) {
+      for (int x = 0; x < expected.width; ++x) {
+        worst = std::max(worst, std::abs(expected.at(c, y, x) - actual.at(c, y, x)));
+      }
+    }
+  }
+  EXPECT_LT(worst, 1e-5);
+}
+
+TEST_F(ChenNetwork, SeesPositionsAlone) {
+  auto other = x_.clone();
+  other.slice(1, 3, kChannels) += 0.3;
+  EXPECT_TRUE(torch::equal(network_.forward(other).slice(1, 0, 3), network_.forward(x_).slice(1, 0, 3)));
+}
+
+TEST_F(ChenNetwork, ScriptIsTheSameFunction) {
+  auto module = network_.to_script();
+  const auto x = example_input(3, kMeshHeight, kMeshWidth);
+  EXPECT_LT((module.forward({x}).toTensor() - network_.forward(x)).abs().max().item<double>(), 1e-5);
+}
+
+TEST(Network, OnlyTheRegisteredKindsAreMade) {
+  for (const std::string& kind : architecture_kinds()) {
+    EXPECT_GT(Network(small("subpixel", "none", false, "aligned", kind), 1).parameter_count(), 0) << kind;
+  }
+  EXPECT_THROW(Network(small("subpixel", "none", false, "aligned", "gan"), 1), Error);
+  EXPECT_THROW(Network(small("bilinear", "none", false, "aligned", "chen2018"), 1), Error);
+}
 
 TEST(Network, PublishedSizesHaveTheExpectedNumberOfParameters) {
   const Network network(Architecture{}, 1);
@@ -269,7 +340,7 @@ TEST(Network, SeedDecidesTheWeights) {
 }
 
 TEST(Network, Bfloat16BodyStaysClose) {
-  const Network network = make(small("subpixel", "bilinear", true));
+  const Network network = make_network(small("subpixel", "bilinear", true));
   const auto x = example_input(1, 8, 8);
   const auto exact = network.forward(x), rounded = network.forward(x, torch::kBFloat16);
   EXPECT_EQ(rounded.scalar_type(), torch::kFloat32);
@@ -279,7 +350,7 @@ TEST(Network, Bfloat16BodyStaysClose) {
 }
 
 TEST(Network, EveryParameterGetsAGradient) {
-  const Network network = make(small("bilinear", "bilinear", true));
+  const Network network = make_network(small("bilinear", "bilinear", true));
   network.forward(example_input(1, 6, 6)).square().sum().backward();
   for (const auto& [name, value] : network.parameters()) {
     ASSERT_TRUE(value.grad().defined()) << name;
@@ -287,53 +358,9 @@ TEST(Network, EveryParameterGetsAGradient) {
   }
 }
 
-constexpr int kMeshHeight = 5, kMeshWidth = 6;
-
-/// A made-up mesh of ten vertices; only its sizes are those of a real one.
-MeshBase example_base() {
-  const std::size_t texels = kMeshHeight * kMeshWidth, fine = 16 * texels;
-  MeshBase base;
-  base.vertices = 10;
-  for (std::size_t i = 0; i < 10 * texels; ++i) base.to_vertices.push_back(0.1F * std::sin(static_cast<float>(i)));
-  for (std::size_t i = 0; i < 3 * fine; ++i) {
-    base.corners.push_back(static_cast<std::int64_t>(i * 7 % 10));
-    base.weights.push_back(1.0F / 3);
-  }
-  for (std::size_t i = 0; i < kStructureChannels * texels; ++i)
-    base.structure.push_back(std::cos(static_cast<float>(i)));
-  for (std::size_t i = 0; i < 3 * texels; ++i) {
-    const std::size_t axis = i / texels, row = i % texels / kMeshWidth, column = i % kMeshWidth;
-    base.rest.push_back(axis == 0   ? 0.1F * static_cast<float>(column)
-                        : axis == 2 ? -0.1F * static_cast<float>(row)
-                                    : 0);
-  }
-  return base;
-}
-
-Normalization example_normalization() {
-  Normalization normalization;
-  for (std::size_t c = 0; c < kChannels; ++c) {
-    normalization.minimum[c] = -0.5F - 0.1F * static_cast<float>(c);
-    normalization.maximum[c] = 0.7F + 0.2F * static_cast<float>(c);
-  }
-  return normalization;
-}
-
-Network make_mesh_network(const std::string& axes) {
-  Architecture architecture = small("subpixel", "mesh", true);
-  architecture.axes = axes;
-  Network network(architecture, 5);
-  network.set_mesh_base(example_base(), example_normalization(), kMeshHeight, kMeshWidth);
-  const torch::NoGradGuard no_grad;
-  for (auto [name, value] : network.parameters()) {
-    if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.02, 0.03, value.numel()).view(value.sizes()));
-  }
-  return network;
-}
-
 TEST(Network, MeshResidualScriptsAreTheSameFunction) {
   for (const char* axes : {"aligned", "local"}) {
-    const Network network = make_mesh_network(axes);
+    const Network network = make_network(small("subpixel", "mesh", true, axes));
     auto module = network.to_script();
     const auto x = example_input(3, kMeshHeight, kMeshWidth);
     const auto expected = network.forward(x);
@@ -343,7 +370,7 @@ TEST(Network, MeshResidualScriptsAreTheSameFunction) {
 }
 
 TEST(Network, BaseImageMixesVerticesThatTheImageGives) {
-  const Network network = make_mesh_network("aligned");
+  const Network network = make_network(small("subpixel", "mesh", true));
   const MeshBase base = example_base();
   const auto x = example_input(1, kMeshHeight, kMeshWidth);
   const auto image = network.base_image(x);
@@ -352,9 +379,10 @@ TEST(Network, BaseImageMixesVerticesThatTheImageGives) {
     double expected = 0.5;
     for (std::int64_t k = 0; k < 3; ++k) {
       const auto i = static_cast<std::size_t>(k * 16 * texels + t);
-      for (int j = 0; j < texels; ++j) {
-        expected += base.weights[i] * base.to_vertices[static_cast<std::size_t>(base.corners[i] * texels + j)] *
-                    (x[0][4].view({-1})[j].item<double>() - 0.5);
+      for (int j = 0; j < kNear; ++j) {
+        const auto near = static_cast<std::size_t>(base.corners[i] * kNear + j);
+        expected += base.weights[i] * base.vertex_weights[near] *
+                    (x[0][4].view({-1})[base.vertex_texels[near]].item<double>() - 0.5);
       }
     }
     EXPECT_NEAR(image[0][4].view({-1})[t].item<double>(), expected, 1e-5);
@@ -363,7 +391,7 @@ TEST(Network, BaseImageMixesVerticesThatTheImageGives) {
 
 /// Turning the cloth, its normals and velocities turns what a network with local axes adds, and changes nothing else.
 TEST(Network, LocalAxesTurnWithTheCloth) {
-  const Network network = make_mesh_network("local");
+  const Network network = make_network(small("subpixel", "mesh", true, "local"));
   const Normalization normalization = example_normalization();
   auto minimum = torch::empty({1, kChannels, 1, 1}), range = torch::empty({1, kChannels, 1, 1});
   for (std::int64_t c = 0; c < kChannels; ++c) {

@@ -1,0 +1,71 @@
+// Kernels for processors with AVX-512 and its bfloat16 products. Compiled with flags of its own: call them only where
+// the processor has both.
+#include <immintrin.h>
+
+#include "services/superres/cpu/kernels.hpp"
+
+namespace pleat::superres::cpu {
+namespace {
+
+constexpr int kLanes = 16;
+using Vec = float __attribute__((vector_size(64)));
+
+#include "services/superres/cpu/kernels_impl.hpp"
+
+/// Features in bfloat16, sums in float32. Weights lie in pairs: (k / 2, columns, 2).
+struct Bfloat16 {
+  using Element = unsigned short;
+  // The forms without a mask trip GCC's warning about uninitialised values.
+  static constexpr __mmask16 kAll = 0xFFFF;
+  static Vec read(const Element* p) {
+    const __m256i bits = _mm256_load_si256(reinterpret_cast<const __m256i*>(p));
+    return reinterpret_cast<Vec>(_mm512_maskz_slli_epi32(kAll, _mm512_maskz_cvtepu16_epi32(kAll, bits), 16));
+  }
+  static void write(Element* p, Vec v) {
+    _mm256_store_si256(reinterpret_cast<__m256i*>(p), reinterpret_cast<__m256i>(_mm512_cvtneps_pbh(v)));
+  }
+
+  template <int M, int N>
+  static void multiply(const Element* a, long a_stride, const Element* b, int k, float* c) {
+    __m512 sums[M][N];
+#pragma GCC unroll 12
+    for (int m = 0; m < M; ++m) {
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) sums[m][n] = _mm512_setzero_ps();
+    }
+    for (int i = 0; i < k; i += 2) {
+      __m512bh w[N];
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) w[n] = reinterpret_cast<__m512bh>(_mm512_load_si512(b + (i * N + 2 * n) * kLanes));
+#pragma GCC unroll 12
+      for (int m = 0; m < M; ++m) {
+        int pair;
+        __builtin_memcpy(&pair, a + m * a_stride + i, sizeof pair);
+        const auto x = reinterpret_cast<__m512bh>(_mm512_set1_epi32(pair));
+#pragma GCC unroll 4
+        for (int n = 0; n < N; ++n) sums[m][n] = _mm512_dpbf16_ps(sums[m][n], x, w[n]);
+      }
+    }
+#pragma GCC unroll 12
+    for (int m = 0; m < M; ++m) {
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) _mm512_store_ps(c + (m * N + n) * kLanes, sums[m][n]);
+    }
+  }
+};
+
+}  // namespace
+
+const Kernels kAvx512Float32{"AVX-512",
+                             kLanes,
+                             4,
+                             2 * kLanes,
+                             transform<Float32>,
+                             convolve3<Float32>,
+                             convolve1<Float32>,
+                             store_elements<Float32>};
+const Kernels kAvx512Bfloat16{
+    "AVX-512 bfloat16",      kLanes, 2, 2 * kLanes, transform<Bfloat16>, convolve3<Bfloat16>, convolve1<Bfloat16>,
+    store_elements<Bfloat16>};
+
+}  // namespace pleat::superres::cpu
