@@ -12,6 +12,8 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr std::size_t kMaxCapsules = 10'000;
+// Metres from the origin: as far as the cloth may get. Squares of larger floats are not finite.
+constexpr double kFarthest = 1e5;
 
 bool is_mesh(const Obstacle& obstacle) { return obstacle.mesh.face_count() > 0; }
 
@@ -71,6 +73,9 @@ std::string animation_fault(const Obstacle& obstacle) {
     }
     for (Eigen::Index v = 0; v < points; ++v) {
       if (!sample.row(v).allFinite()) return which + " is not finite at point " + std::to_string(v);
+      if (static_cast<double>(sample.row(v).cwiseAbs().maxCoeff()) > kFarthest) {
+        return which + " is more than 100 km away at point " + std::to_string(v);
+      }
     }
   }
   return "";

@@ -145,6 +145,7 @@ TEST(Scene, RefusesBadAnimations) {
   EXPECT_NO_THROW(validate_scene(scene));
   expect_refused(with([](Obstacle& o) { o.animation.samples[2](0, 1) = std::nanf(""); }),
                  "obstacle 'ball': sample 2 of the animation is not finite at point 0");
+  expect_refused(with([](Obstacle& o) { o.animation.samples[0](0, 2) = -1e30f; }), "sample 0 of the animation is more");
   expect_refused(with([](Obstacle& o) { o.animation.samples[1].resize(2, 3); }), "2 points instead of 1");
   expect_refused(with([](Obstacle& o) { o.animation.sample_time_s = 0; }), "time between");
   expect_refused(with([](Obstacle& o) { o.motion.keys.resize(1); }), "key frames and an animation");
