@@ -112,7 +112,8 @@ inline void transpose(const Float8 (&rows)[8], Float8 (&out)[8]) {
 
 template <typename Derived>
 Float4 to_float4(const Eigen::MatrixBase<Derived>& expression) {
-  const Eigen::Matrix<float, 3, 1> v = expression.template cast<float>();
+  Eigen::Vector3f v;
+  v = expression.template cast<float>();
   return Float4{v.x(), v.y(), v.z(), 0};
 }
 

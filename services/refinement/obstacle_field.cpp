@@ -219,7 +219,7 @@ std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squar
 
 std::optional<ObstacleContact> MeshObstacle::contact(const Vec3& p, double reach) const {
   if (squared_distance(bounds(), p) > reach * reach) return std::nullopt;
-  const auto found = nearest(p, std::numeric_limits<double>::max());
+  auto found = nearest(p, std::numeric_limits<double>::max());
   if (!found || found->distance > reach) return std::nullopt;
   return found;
 }
