@@ -44,11 +44,13 @@ demo: programs ## simulate and enhance the falling tablecloth; pictures in out/d
 test: build ## build and run all tests
 	@ctest --test-dir $(BUILD) --output-on-failure -j $(JOBS)
 
-bench: build ## print the benchmark tables; writes out/bench/report.json
+bench: build ## print the benchmark tables; writes out/bench/report.json and lean-rival.json
 	@mkdir -p $(OUT)/bench
 	@$(BUILD)/bin/pleat bench
 	@$(BUILD)/bin/pleat bench --json >$(OUT)/bench/report.json
-	@echo "bench: $(OUT)/bench/report.json"
+	@echo "bench: the lean rival, a direct simulation of the fine sheet"
+	@$(BUILD)/bin/bench_lean_rival --json $(OUT)/bench/lean-rival.json
+	@echo "bench: $(OUT)/bench/report.json $(OUT)/bench/lean-rival.json"
 
 dataset: build ## generate the DRAPING training data into out/dataset/draping
 	@$(BUILD)/bin/pleat dataset generate $(OUT)/dataset/draping --set draping --frames 120

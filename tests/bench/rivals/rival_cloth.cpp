@@ -32,7 +32,7 @@ void check_scope(const simulation::Scene& scene) {
     if (!fine) throw_invalid_argument(std::string("the rivals measure a cloth alone: ") + what);
   };
   require(scene.obstacles.empty(), "no obstacles");
-  require(scene.damping_s == 0, "no damping");
+  require(scene.damping_s == 0 && !scene.strain_limits.limits(), "no damping, no strain limits");
   require(scene.wind.velocity.isZero() && scene.wind.drag == 0, "no wind, no drag");
   for (const simulation::Handle& handle : scene.handles) {
     require(!handle.hard && handle.motion.keys.empty() && handle.start_s == 0 && handle.end_s > 1e3,
