@@ -66,6 +66,21 @@ bool finite(const Capsule& capsule) {
   return capsule.a.allFinite() && capsule.b.allFinite() && std::isfinite(capsule.radius) && capsule.radius > 0;
 }
 
+std::vector<Capsule> capsules_of(const ObstacleFrame& frame) {
+  std::vector<Capsule> capsules;
+  if (frame.capsule_ends.rows() == 2 * static_cast<Eigen::Index>(frame.capsule_radii.size())) {
+    for (const float radius : frame.capsule_radii) {
+      const auto row = 2 * static_cast<Eigen::Index>(capsules.size());
+      capsules.push_back({frame.capsule_ends.row(row).cast<double>().transpose(),
+                          frame.capsule_ends.row(row + 1).cast<double>().transpose(), static_cast<double>(radius)});
+    }
+  }
+  if (capsules.empty() || !std::all_of(capsules.begin(), capsules.end(), finite)) {
+    throw_invalid_argument("obstacle " + frame.name + ": capsules need two finite ends and a radius above 0 each");
+  }
+  return capsules;
+}
+
 }  // namespace
 
 ObstacleContact capsule_contact(const Capsule& capsule, const Vec3& p) {
@@ -282,10 +297,15 @@ ObstacleField::Part& ObstacleField::part_named(const std::string& name) {
   return *part;
 }
 
-void ObstacleField::update(std::span<const ObstacleFrame> frames, std::span<const CapsuleFrame> capsules) {
+void ObstacleField::update(std::span<const ObstacleFrame> frames) {
   for (Part& part : parts_) part.present = false;
   for (const ObstacleFrame& frame : frames) {
     Part& part = part_named(frame.name);
+    if (!frame.capsule_radii.empty()) {
+      if (part.faces.rows() != 0) throw_invalid_argument("obstacle " + frame.name + " is a mesh in this session");
+      part.capsules = capsules_of(frame);
+      continue;
+    }
     if (part.faces.rows() == 0) {
       if (frame.positions.rows() != 0 && frame.radius == 0)
         throw_invalid_argument("obstacle " + frame.name + ": a mesh without its faces");
@@ -307,14 +327,6 @@ void ObstacleField::update(std::span<const ObstacleFrame> frames, std::span<cons
                              " positions, earlier " + std::to_string(part.mesh->positions().rows()));
     }
     part.mesh->update(frame.positions);
-  }
-  for (const CapsuleFrame& frame : capsules) {
-    Part& part = part_named(frame.name);
-    if (part.faces.rows() != 0) throw_invalid_argument("obstacle " + frame.name + " is a mesh in this session");
-    if (frame.capsules.empty() || !std::all_of(frame.capsules.begin(), frame.capsules.end(), finite)) {
-      throw_invalid_argument("obstacle " + frame.name + ": capsules need finite ends and radii above 0");
-    }
-    part.capsules = frame.capsules;
   }
   for (const Part& part : parts_) {
     if (!part.present && part.faces.rows() != 0)

@@ -84,12 +84,6 @@ class MeshObstacle {
   std::vector<Box> boxes_;
 };
 
-/// A capsule set in one frame, for callers that have one: the wire contract knows spheres and meshes.
-struct CapsuleFrame {
-  std::string name;
-  std::vector<Capsule> capsules;
-};
-
 /// All obstacles of a session. One per stream; not for several threads.
 class ObstacleField {
  public:
@@ -101,7 +95,7 @@ class ObstacleField {
 
   /// The obstacles of a frame; spheres and capsule sets need no shape. Throws kInvalidArgument for a mesh without shape
   /// or with another vertex count, a shape without frame, a radius that is not above 0, values that are not finite.
-  void update(std::span<const ObstacleFrame> frames, std::span<const CapsuleFrame> capsules = {});
+  void update(std::span<const ObstacleFrame> frames);
 
   bool empty() const;
 

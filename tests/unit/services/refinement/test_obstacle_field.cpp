@@ -130,11 +130,15 @@ TEST(Capsules, FacesAgreeWithAScan) {
 
 TEST(Capsules, ASetIsTheUnionOfItsParts) {
   ObstacleField field({});
-  const std::vector<CapsuleFrame> limbs{{"arm", {{{0, 0, 0}, {1, 0, 0}, 0.1}, {{1, 0, 0}, {1, 1, 0}, 0.2}}}};
-  field.update({}, limbs);
+  ObstacleFrame arm;
+  arm.name = "arm";
+  arm.capsule_ends.resize(4, 3);
+  arm.capsule_ends << 0, 0, 0, 1, 0, 0, 1, 0, 0, 1, 1, 0;
+  arm.capsule_radii = {0.125f, 0.25f};
+  field.update(std::vector{arm});
   EXPECT_FALSE(field.empty());
-  EXPECT_NEAR(field.contact({0.5, 0.3, 0}, 1)->distance, 0.2, 1e-12);
-  EXPECT_NEAR(field.contact({1, 0.5, 0}, 0)->distance, -0.2, 1e-12);
+  EXPECT_NEAR(field.contact({0.5, 0.3, 0}, 1)->distance, 0.175, 1e-12);
+  EXPECT_NEAR(field.contact({1, 0.5, 0}, 0)->distance, -0.25, 1e-12);
   EXPECT_FALSE(field.contact({0.5, 0.3, 0}, 0.1));
   std::vector<Box> bounds;
   field.append_bounds(0.05, bounds);
@@ -149,8 +153,13 @@ TEST(Capsules, ASetIsTheUnionOfItsParts) {
   EXPECT_TRUE(field.push_face_out(x, faces, 0, 0.002));
   for (int i = 0; i < 20 && field.penetrates(x, faces, 0); ++i) field.push_face_out(x, faces, 0, 0.002);
   EXPECT_FALSE(field.penetrates(x, faces, 0));
-  EXPECT_THROW(field.update({}, std::vector<CapsuleFrame>{{"arm", {}}}), Error);
-  EXPECT_THROW(field.update({}, std::vector<CapsuleFrame>{{"arm", {{{0, 0, 0}, {1, 0, 0}, 0}}}}), Error);
+  for (const auto& spoil : {+[](ObstacleFrame& f) { f.capsule_ends.conservativeResize(3, 3); },
+                            +[](ObstacleFrame& f) { f.capsule_ends(2, 0) = std::nanf(""); },
+                            +[](ObstacleFrame& f) { f.capsule_radii[1] = 0; }}) {
+    ObstacleFrame bad = arm;
+    spoil(bad);
+    EXPECT_THROW(field.update(std::vector{bad}), Error);
+  }
   field.update({});
   EXPECT_TRUE(field.empty());
 }

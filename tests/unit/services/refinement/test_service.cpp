@@ -100,6 +100,35 @@ TEST_F(RefinementServer, FramesComeBackCleanWithTheirReport) {
   }
 }
 
+TEST_F(RefinementServer, CapsuleSetsAreObstacles) {
+  ObstacleFrame limbs;
+  limbs.name = "limbs";
+  limbs.capsule_ends.resize(4, 3);
+  limbs.capsule_ends << 0.1f, -0.15f, -0.5f, 0.6f, -0.15f, -0.5f, 0.6f, -0.15f, -0.5f, 0.7f, -0.4f, -0.2f;
+  limbs.capsule_radii = {0.1f, 0.08f};
+  open_.mutable_open()->clear_obstacles();
+  *open_.mutable_open()->add_obstacles() = to_message(ObstacleShape{"limbs", {}, 2});
+  const auto refine = stream();
+  refine->open(open_);
+  Positions dented = cloth_.fine().rest_positions;
+  dented.col(1).array() -= 0.09f;
+  v1::RefineRequest request = frame(0, dented);
+  *request.mutable_frame()->mutable_obstacles(0) = to_message(limbs);
+  refine->push(request);
+  v1::RefineResponse response;
+  ASSERT_TRUE(refine->pop(&response));
+  ASSERT_TRUE(response.has_frame()) << response.error().message();
+  EXPECT_GT(response.frame().report().penetrations_before(), 0u);
+  EXPECT_EQ(response.frame().report().penetrations_after(), 0u);
+  const Positions result = positions_from_message(response.frame().fine());
+  EXPECT_EQ(count_penetrations(result, cloth_.fine().faces, {}, std::vector{limbs}), 0u);
+
+  request.mutable_frame()->mutable_obstacles(0)->set_capsule_radii(0, -1);
+  refine->push(request);
+  ASSERT_TRUE(refine->pop(&response));
+  EXPECT_TRUE(response.has_error());
+}
+
 TEST_F(RefinementServer, ABadFrameIsAnsweredAndTheStreamGoesOn) {
   const auto refine = stream();
   refine->open(open_);
