@@ -14,12 +14,10 @@ namespace {
 struct GenerateChoice {
   std::string folder, set = "draping", scale = "small";
   std::string garment = "deploy/garments/tablecloth.obj", material = "deploy/materials/gray-interlock.json";
-  int frames = 0, train = 10, test = 3, workers = 0;
+  int frames = 0, train = -1, test = -1, workers = 0;
   std::uint64_t seed = 1;
   bool deflate = true;
 };
-
-constexpr int kSmallFrames = 150, kFullFrames = 400;
 
 int generate(const GenerateChoice& choice) {
   // The work resumes from disk: being stopped at once is the fastest clean end.
@@ -27,9 +25,10 @@ int generate(const GenerateChoice& choice) {
   dataset::GenerateOptions options;
   options.folder = choice.folder;
   options.scenes.set = choice.set;
-  options.scenes.train = choice.train;
-  options.scenes.test = choice.test;
-  options.scenes.frames = choice.frames > 0 ? choice.frames : choice.scale == "full" ? kFullFrames : kSmallFrames;
+  const dataset::SetSize size = dataset::set_size(choice.set, choice.scale == "full");
+  options.scenes.train = choice.train >= 0 ? choice.train : size.train;
+  options.scenes.test = choice.test >= 0 ? choice.test : size.test;
+  options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
   options.scenes.seed = choice.seed;
   options.scenes.garment = choice.garment;
   options.scenes.material = choice.material;
@@ -78,12 +77,13 @@ std::vector<Command> add_dataset(CLI::App& root) {
   const auto choice = std::make_shared<GenerateChoice>();
   make->add_option("folder", choice->folder, "folder of the data set")->required();
   make->add_option("--set", choice->set, "scenes")->capture_default_str()->check(CLI::IsMember({"draping", "hitting"}));
-  make->add_option("--scale", choice->scale, "small: 150 frames a sequence, full: 400")
+  make->add_option("--scale", choice->scale,
+                   "frames a sequence; small: 150, full: the paper's 400 (draping) or 1,000 (hitting)")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
   make->add_option("--frames", choice->frames, "frames a sequence, instead of the scale's")->check(positive_number());
-  make->add_option("--train", choice->train, "sequences for training")->capture_default_str()->check(natural_number());
-  make->add_option("--test", choice->test, "sequences for testing")->capture_default_str()->check(natural_number());
+  make->add_option("--train", choice->train, "sequences for training (default: 10 or 27)")->check(natural_number());
+  make->add_option("--test", choice->test, "sequences for testing (default: 3 or 8)")->check(natural_number());
   make->add_option("--seed", choice->seed, "seed of the scenes")->capture_default_str()->check(natural_number());
   make->add_option("--workers", choice->workers, "processes (default: one a processor)")->check(positive_number());
   make->add_option("--garment", choice->garment, "coarse garment, OBJ")->capture_default_str();

@@ -60,7 +60,7 @@ int run(const std::vector<std::string>& arguments) {
   options.scenes.material = "deploy/materials/gray-interlock.json";
   std::string mode = "generate", folder;
   int stride = 1;
-  int frames = 0;
+  int frames = 0, train = -1, test = -1;
   bool full = false;
   for (std::size_t i = 0; i < arguments.size(); ++i) {
     const std::string& flag = arguments[i];
@@ -82,9 +82,9 @@ int run(const std::vector<std::string>& arguments) {
     } else if (flag == "--frames") {
       frames = to_number(flag, value());
     } else if (flag == "--train") {
-      options.scenes.train = to_number(flag, value());
+      train = to_number(flag, value());
     } else if (flag == "--test") {
-      options.scenes.test = to_number(flag, value());
+      test = to_number(flag, value());
     } else if (flag == "--seed") {
       options.scenes.seed = static_cast<std::uint64_t>(to_number(flag, value()));
     } else if (flag == "--workers") {
@@ -114,7 +114,10 @@ int run(const std::vector<std::string>& arguments) {
     return 0;
   }
   options.folder = folder;
-  options.scenes.frames = frames > 0 ? frames : full ? 400 : 150;
+  const pleat::dataset::SetSize size = pleat::dataset::set_size(options.scenes.set, full);
+  options.scenes.frames = frames > 0 ? frames : size.frames;
+  options.scenes.train = train >= 0 ? train : size.train;
+  options.scenes.test = test >= 0 ? test : size.test;
   pleat::dataset::generate(options, print);
   return 0;
 }

@@ -72,8 +72,17 @@ simulation::Scene draping_scene(const Topology& cloth, std::uint32_t held, Rando
   return scene;
 }
 
+// Metres. The last of each are in the test split only: one size, and three of the places.
+constexpr double kRadii[] = {0.10, 0.13, 0.20, 0.25, 0.16};
+constexpr std::size_t kTrainingRadii = 4;
+// Where the sphere starts: x, height, and the side of the cloth.
+constexpr double kPlaces[][3] = {{-0.3, 1.4, 1},  {0.0, 1.2, 1},   {0.3, 1.4, 1},   {-0.2, 1.1, -1},
+                                 {0.25, 1.3, -1}, {0.0, 1.45, -1}, {-0.35, 1.2, 1}, {0.15, 1.05, 1}};
+constexpr std::size_t kTrainingPlaces = 5;
+
+// index: in its split. Test sequences have the unseen size, an unseen place, or both, in turn.
 simulation::Scene hitting_scene(const Topology& cloth, const std::vector<std::uint32_t>& edge, double duration_s,
-                                Random& random) {
+                                std::size_t index, bool test, Random& random) {
   simulation::Scene scene;
   scene.garment = cloth;
   scene.transform.rotation = tilt(90, 0, 0);
@@ -85,10 +94,14 @@ simulation::Scene hitting_scene(const Topology& cloth, const std::vector<std::ui
   scene.handles = {handle};
   simulation::Obstacle sphere;
   sphere.name = "ball";
-  sphere.radius = random.uniform(0.1, 0.25);
-  const double side = random.uniform(0, 1) < 0.5 ? -1 : 1;
+  const bool unseen_radius = test && index % 3 != 1, unseen_place = test && index % 3 != 0;
+  const std::size_t places = std::size(kPlaces) - kTrainingPlaces;
+  sphere.radius = kRadii[unseen_radius ? kTrainingRadii : index % kTrainingRadii];
+  const auto& place =
+      kPlaces[unseen_place ? kTrainingPlaces + index % places : (index / kTrainingRadii + index) % kTrainingPlaces];
+  const double side = place[2];
   const double reach = random.uniform(0.5, 0.9) + sphere.radius;
-  sphere.center = {random.uniform(-0.4, 0.4), random.uniform(1.0, 1.5), side * reach};
+  sphere.center = {place[0] + random.uniform(-0.03, 0.03), place[1] + random.uniform(-0.03, 0.03), side * reach};
   const double period = random.uniform(2.5, 4.0);
   const Eigen::Vector3d swing(random.uniform(-0.3, 0.3), random.uniform(-0.1, 0.1), -2 * side * reach);
   // Back and forth, at rest until the cloth hangs.
@@ -105,6 +118,11 @@ simulation::Scene hitting_scene(const Topology& cloth, const std::vector<std::ui
 nlohmann::json to_array(const Eigen::Vector3d& vector) { return {vector.x(), vector.y(), vector.z()}; }
 
 }  // namespace
+
+SetSize set_size(const std::string& set, bool full) {
+  if (set == "hitting") return {27, 8, full ? 1000 : 150};
+  return {10, 3, full ? 400 : 150};
+}
 
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
   if (options.train < 0 || options.test < 0 || options.train + options.test < 1) {
@@ -130,12 +148,15 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
   std::vector<SequencePlan> plans;
   for (std::size_t i = 0; i < count; ++i) {
     SequencePlan plan;
-    plan.split = i < static_cast<std::size_t>(options.train) ? "train" : "test";
+    const bool test = i >= static_cast<std::size_t>(options.train);
+    plan.split = test ? "test" : "train";
     const std::string number = std::to_string(i);
     plan.name = options.set + "-" + std::string(number.size() < 2 ? 1 : 0, '0') + number;
     const double frame_time = simulation::Scene().frame_time_s;
-    plan.scene = options.set == "draping" ? draping_scene(cloth, edge[i], random)
-                                          : hitting_scene(cloth, ordered_edge, options.frames * frame_time, random);
+    plan.scene = options.set == "draping"
+                     ? draping_scene(cloth, edge[i], random)
+                     : hitting_scene(cloth, ordered_edge, options.frames * frame_time,
+                                     test ? i - static_cast<std::size_t>(options.train) : i, test, random);
     plan.scene.name = plan.name;
     plan.scene.material = material;
     plan.scene.frames = options.frames;

@@ -17,6 +17,15 @@ struct SequencePlan {
   std::string scene_json;  ///< the same as pleat.v1.Scene in protobuf's JSON form
 };
 
+/// How large a set is unless told otherwise.
+struct SetSize {
+  int train = 10, test = 3;  ///< sequences of each split
+  int frames = 150;          ///< per sequence
+};
+/// The paper's size ([MFSR] section 6), or the same sequences cut short. draping: 10 + 3 sequences of 400 frames;
+/// hitting: 27 + 8 of 1,000. Small: 150 frames each.
+SetSize set_size(const std::string& set, bool full);
+
 struct SceneOptions {
   std::string set = "draping";  ///< draping or hitting
   int train = 10;               ///< sequences for training
@@ -28,8 +37,9 @@ struct SceneOptions {
 };
 
 /// DRAPING: one vertex of the cloth's upper edge is held; the cloth starts tilted by a random rotation, falls and
-/// swings. No two sequences hold the same vertex. HITTING: two corners of the upper edge are held, and a sphere of
-/// random size swings through the hanging cloth from a random side. Deterministic for a seed.
+/// swings. No two sequences hold the same vertex. HITTING: two corners of the upper edge are held, and a sphere swings
+/// through the hanging cloth; one of its five sizes and three of its eight places are in the test split only, in turn.
+/// Deterministic for a seed.
 /// Throws kInvalidArgument (unknown set, counts), and what reading the files throws.
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options);
 

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -80,6 +81,37 @@ TEST_F(SmallSet, ScenesAreSceneFiles) {
 #endif
     }
   }
+}
+
+TEST_F(SmallSet, HittingKeepsASizeAndPlacesForTheTestSplit) {
+  options.scenes.set = "hitting";
+  const SetSize size = set_size("hitting", true);
+  EXPECT_EQ(size.train, 27);
+  EXPECT_EQ(size.test, 8);
+  EXPECT_EQ(size.frames, 1000);
+  options.scenes.train = size.train;
+  options.scenes.test = size.test;
+  std::set<double> radii[2];
+  // Places to within the random shift of 3 cm; the side is the sign of z.
+  const auto near = [](const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
+    return (a - b).head<2>().cwiseAbs().maxCoeff() <= 0.06 && (a.z() > 0) == (b.z() > 0);
+  };
+  std::vector<Eigen::Vector3d> places[2];
+  for (const SequencePlan& plan : plan_sequences(options.scenes)) {
+    const simulation::Obstacle& ball = plan.scene.obstacles[0];
+    radii[plan.split == "test" ? 1 : 0].insert(ball.radius);
+    places[plan.split == "test" ? 1 : 0].push_back(ball.center);
+  }
+  std::size_t unseen_radii = 0, unseen_places = 0, seen_places = 0;
+  for (const double radius : radii[1]) unseen_radii += radii[0].count(radius) == 0 ? 1 : 0;
+  for (const Eigen::Vector3d& place : places[1]) {
+    const bool seen = std::any_of(places[0].begin(), places[0].end(), [&](const auto& p) { return near(p, place); });
+    ++(seen ? seen_places : unseen_places);
+  }
+  EXPECT_EQ(radii[0].size(), 4u);
+  EXPECT_EQ(unseen_radii, 1u);
+  EXPECT_GE(unseen_places, 4u);
+  EXPECT_GE(seen_places, 1u);
 }
 
 TEST_F(SmallSet, MakesWhatWasPlanned) {
