@@ -46,7 +46,13 @@ double signed_uv_area(const Topology& t, Eigen::Index f) {
 }  // namespace
 
 Positions vertex_normals(const Positions& positions, const Faces& faces) {
-  Positions normals = Positions::Zero(positions.rows(), 3);
+  Positions normals;
+  vertex_normals(positions, faces, normals);
+  return normals;
+}
+
+void vertex_normals(const Positions& positions, const Faces& faces, Positions& normals) {
+  normals.setZero(positions.rows(), 3);
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
     const Vec3 a = positions.row(faces(f, 0));
     const Vec3 b = positions.row(faces(f, 1));
@@ -62,7 +68,6 @@ Positions vertex_normals(const Positions& positions, const Faces& faces) {
       normals.row(v) << 0, 1, 0;
     }
   }
-  return normals;
 }
 
 void validate_topology(const Topology& t, const std::string& name) {

@@ -31,6 +31,8 @@ struct Topology {
 /// Area-weighted unit vertex normals ([MFSR-S] eq. 1). A vertex without area gets (0,1,0). O(V + F).
 /// positions: (V x 3). Returns (V x 3).
 Positions vertex_normals(const Positions& positions, const Faces& faces);
+/// The same into memory that is reused.
+void vertex_normals(const Positions& positions, const Faces& faces, Positions& normals);
 
 /// Throws kInvalidArgument unless the topology is usable: finite values, indices in range, no face with a repeated
 /// vertex, at most two faces on an edge and consistently oriented, uv_faces of the same size as faces (or both empty).

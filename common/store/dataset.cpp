@@ -214,23 +214,32 @@ const DatasetMaster& DatasetReader::master() const { return state_->master; }
 const std::filesystem::path& DatasetReader::folder() const { return state_->folder; }
 
 std::vector<SequenceInfo> DatasetReader::sequences() const {
+  return sequences([](const std::string&, const Error& error) { throw error; });
+}
+
+std::vector<SequenceInfo> DatasetReader::sequences(
+    const std::function<void(const std::string&, const Error&)>& damaged) const {
   std::vector<SequenceInfo> infos;
   for (const std::string& name : state_->master.sequences) {
     const std::filesystem::path path = sequence_path(state_->folder, name);
     std::error_code error;
     if (!std::filesystem::exists(path, error) && !std::filesystem::exists(path.string() + ".partial", error)) continue;
-    const auto lock = hdf5::lock();
-    const State::Opened opened = state_->open(name);
-    SequenceInfo info;
-    info.name = name;
-    info.split = opened.file.string_attribute("/", "split");
-    info.scene = opened.file.string_attribute("/", "scene");
-    info.frames = opened.file.integer_attribute("/", "frames");
-    info.topology_hash = opened.file.string_attribute("/", "topology_hash");
-    info.frames_complete = opened.complete;
-    info.finished = opened.finished;
-    info.obstacles = store::read_obstacle_shapes(opened.file).shapes;
-    infos.push_back(std::move(info));
+    try {
+      const auto lock = hdf5::lock();
+      const State::Opened opened = state_->open(name);
+      SequenceInfo info;
+      info.name = name;
+      info.split = opened.file.string_attribute("/", "split");
+      info.scene = opened.file.string_attribute("/", "scene");
+      info.frames = opened.file.integer_attribute("/", "frames");
+      info.topology_hash = opened.file.string_attribute("/", "topology_hash");
+      info.frames_complete = opened.complete;
+      info.finished = opened.finished;
+      info.obstacles = store::read_obstacle_shapes(opened.file).shapes;
+      infos.push_back(std::move(info));
+    } catch (const Error& cause) {
+      damaged(name, cause);
+    }
   }
   return infos;
 }

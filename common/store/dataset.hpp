@@ -8,11 +8,13 @@
 #include <array>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "common/base/error.hpp"
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
 
@@ -122,6 +124,8 @@ class DatasetReader {
 
   /// Every sequence of the master that has a file, finished or partial, in the master's order.
   std::vector<SequenceInfo> sequences() const;
+  /// The same, but a file that can't be read is handed to `damaged` and left out.
+  std::vector<SequenceInfo> sequences(const std::function<void(const std::string& name, const Error&)>& damaged) const;
 
   /// Frames [first, last) of a sequence, last <= frames_complete.
   std::vector<Positions> coarse(const std::string& sequence, std::uint64_t first, std::uint64_t last) const;

@@ -17,6 +17,8 @@ constexpr double kEdgeTolerance = 1e-5;
 // A centre this deep in two faces means that the material coordinates overlap.
 constexpr double kOverlapDepth = 1e-3;
 
+double cross(const Vec2& a, const Vec2& b) { return a.x() * b.y() - a.y() * b.x(); }
+
 struct UvTriangle {
   Vec2 a, b, c;
   UvTriangle(const Topology& t, Eigen::Index f)
@@ -24,18 +26,23 @@ struct UvTriangle {
         b(t.uv.row(t.uv_faces(f, 1)).cast<double>()),
         c(t.uv.row(t.uv_faces(f, 2)).cast<double>()) {}
 
+  double doubled_area() const { return cross(b - a, c - a); }
+
+  // Needs an area.
   Eigen::Vector3d barycentric(const Vec2& p) const {
     const Vec2 e1 = b - a, e2 = c - a, d = p - a;
-    const double area = e1.x() * e2.y() - e1.y() * e2.x();
-    const double wb = (d.x() * e2.y() - d.y() * e2.x()) / area;
-    const double wc = (e1.x() * d.y() - e1.y() * d.x()) / area;
+    const double area = cross(e1, e2);
+    const double wb = cross(d, e2) / area;
+    const double wc = cross(e1, d) / area;
     return {1 - wb - wc, wb, wc};
   }
 
   // Weights of the point of the triangle nearest to p, and its squared distance.
-  std::pair<Eigen::Vector3d, double> nearest(const Vec2& p) const {
-    const Eigen::Vector3d inside = barycentric(p);
-    if (inside.minCoeff() >= 0) return {inside, 0};
+  std::pair<Eigen::Vector3d, double> nearest(const Vec2& p, bool has_area) const {
+    if (has_area) {
+      const Eigen::Vector3d inside = barycentric(p);
+      if (inside.minCoeff() >= 0) return {inside, 0};
+    }
     const std::array<Vec2, 3> corner{a, b, c};
     Eigen::Vector3d best = Eigen::Vector3d::Zero();
     double best_distance = std::numeric_limits<double>::max();
@@ -43,7 +50,8 @@ struct UvTriangle {
       const int next = (k + 1) % 3;
       const Vec2 edge = corner[static_cast<std::size_t>(next)] - corner[static_cast<std::size_t>(k)];
       const Vec2 offset = p - corner[static_cast<std::size_t>(k)];
-      const double s = std::clamp(offset.dot(edge) / edge.squaredNorm(), 0.0, 1.0);
+      const double length2 = edge.squaredNorm();
+      const double s = length2 > 0 ? std::clamp(offset.dot(edge) / length2, 0.0, 1.0) : 0;
       const double distance = (offset - s * edge).squaredNorm();
       if (distance < best_distance) {
         best_distance = distance;
@@ -75,6 +83,25 @@ std::vector<std::uint32_t> find_charts(const Topology& t) {
   return parent;
 }
 
+// Twice the area below which a face counts as one without: a millionth of the mean.
+double smallest_doubled_area(const Topology& t) {
+  double total = 0;
+  for (Eigen::Index f = 0; f < t.face_count(); ++f) total += std::abs(UvTriangle(t, f).doubled_area());
+  return 1e-6 * total / static_cast<double>(t.face_count());
+}
+
+// The value below which half of the weight is.
+double weighted_median(std::vector<std::pair<double, double>>& values) {
+  std::sort(values.begin(), values.end());
+  double total = 0, sum = 0;
+  for (const auto& [value, weight] : values) total += weight;
+  for (const auto& [value, weight] : values) {
+    sum += weight;
+    if (sum >= 0.5 * total) return value;
+  }
+  return values.back().first;
+}
+
 Vec2 center_of(const TexelGrid& grid, std::size_t texel) {
   const auto column = static_cast<double>(texel % static_cast<std::size_t>(grid.width));
   const std::size_t whole_row = texel / static_cast<std::size_t>(grid.width);
@@ -89,11 +116,12 @@ TexelSource make_source(std::uint32_t face, Eigen::Vector3d weights) {
 }
 
 // Texel centres inside faces.
-void fill_interior(const Topology& t, const TexelGrid& grid, const std::vector<std::uint32_t>& charts,
+void fill_interior(const Topology& t, const TexelGrid& grid, const std::vector<std::uint32_t>& charts, double smallest,
                    const std::string& name, ChartRaster& raster) {
   std::vector<double> depth(grid.size(), -1);
   for (Eigen::Index f = 0; f < t.face_count(); ++f) {
     const UvTriangle triangle(t, f);
+    if (std::abs(triangle.doubled_area()) <= smallest) continue;
     const Vec2 low = triangle.a.cwiseMin(triangle.b).cwiseMin(triangle.c);
     const Vec2 high = triangle.a.cwiseMax(triangle.b).cwiseMax(triangle.c);
     const auto first = [](double x, double x0, double dx) {
@@ -128,6 +156,8 @@ std::vector<TexelRead> bilinear_reads(const Topology& t, const TexelGrid& grid) 
   std::vector<TexelRead> reads(static_cast<std::size_t>(t.uv.rows()));
   for (std::size_t u = 0; u < reads.size(); ++u) {
     const auto split = [](double position, int count) {
+      // Coordinates that no face uses may be anywhere.
+      position = std::clamp(position, 0.0, static_cast<double>(count - 1));
       const int cell = std::clamp(static_cast<int>(std::floor(position)), 0, count - 2);
       return std::pair<int, double>(cell, std::clamp(position - cell, 0.0, 1.0));
     };
@@ -144,11 +174,12 @@ std::vector<TexelRead> bilinear_reads(const Topology& t, const TexelGrid& grid) 
 }
 
 // Makes the texels valid that vertices at a chart's rim read beyond it.
-void fill_rims(const Topology& t, const TexelGrid& grid, const std::vector<std::uint32_t>& charts,
+void fill_rims(const Topology& t, const TexelGrid& grid, const std::vector<std::uint32_t>& charts, double smallest,
                ChartRaster& raster) {
   std::vector<double> distance(grid.size(), std::numeric_limits<double>::max());
   for (Eigen::Index f = 0; f < t.face_count(); ++f) {
     const UvTriangle triangle(t, f);
+    const bool has_area = std::abs(triangle.doubled_area()) > smallest;
     for (int k = 0; k < 3; ++k) {
       const TexelRead& read = raster.reads[t.uv_faces(f, k)];
       for (std::size_t i = 0; i < 4; ++i) {
@@ -157,19 +188,37 @@ void fill_rims(const Topology& t, const TexelGrid& grid, const std::vector<std::
         const bool inside =
             raster.sources[texel].face != kNone && distance[texel] == std::numeric_limits<double>::max();
         if (inside || read.weight[i] < 1e-6f) continue;
-        const auto [weights, squared] = triangle.nearest(center_of(grid, texel));
+        const auto [weights, squared] = triangle.nearest(center_of(grid, texel), has_area);
         if (squared >= distance[texel]) continue;
         distance[texel] = squared;
         raster.sources[texel] = make_source(static_cast<std::uint32_t>(f), weights);
         raster.chart[texel] = charts[t.uv_faces(f, 0)];
+        raster.is_rim[texel] = 1;
       }
     }
   }
 }
 
+// The texels of each chart, in compressed rows by chart.
+struct ChartTexels {
+  std::vector<std::uint32_t> offsets, texels;
+  ChartTexels(std::size_t charts, const std::vector<std::uint32_t>& chart_of) : offsets(charts + 1, 0) {
+    for (const std::uint32_t chart : chart_of) {
+      if (chart != kNone) ++offsets[chart + 1];
+    }
+    std::partial_sum(offsets.begin(), offsets.end(), offsets.begin());
+    texels.resize(offsets.back());
+    std::vector<std::uint32_t> next(offsets.begin(), offsets.end() - 1);
+    for (std::uint32_t texel = 0; texel < chart_of.size(); ++texel) {
+      if (chart_of[texel] != kNone) texels[next[chart_of[texel]]++] = texel;
+    }
+  }
+};
+
 // Restricts each read to texels of the vertex's own chart.
 void own_chart_only(const Topology& t, const TexelGrid& grid, const std::vector<std::uint32_t>& charts,
                     const std::string& name, ChartRaster& raster) {
+  const ChartTexels of_chart(charts.size(), raster.chart);
   for (Eigen::Index f = 0; f < t.face_count(); ++f) {
     for (int k = 0; k < 3; ++k) {
       const std::uint32_t u = t.uv_faces(f, k);
@@ -186,13 +235,13 @@ void own_chart_only(const Topology& t, const TexelGrid& grid, const std::vector<
       const Vec2 p = t.uv.row(u).cast<double>();
       double best = std::numeric_limits<double>::max();
       read.weight = {0, 0, 0, 0};
-      for (std::size_t texel = 0; texel < grid.size(); ++texel) {
+      for (std::uint32_t i = of_chart.offsets[charts[u]]; i < of_chart.offsets[charts[u] + 1]; ++i) {
+        const std::uint32_t texel = of_chart.texels[i];
         const double squared = (center_of(grid, texel) - p).squaredNorm();
-        if (raster.chart[texel] == charts[u] && squared < best) {
-          best = squared;
-          read.texel[0] = static_cast<std::uint32_t>(texel);
-          read.weight[0] = 1;
-        }
+        if (squared >= best) continue;
+        best = squared;
+        read.texel[0] = texel;
+        read.weight[0] = 1;
       }
       if (read.weight[0] == 0) {
         throw_invalid_argument(name + ": an image of " + std::to_string(grid.width) + " x " +
@@ -203,7 +252,8 @@ void own_chart_only(const Topology& t, const TexelGrid& grid, const std::vector<
   }
 }
 
-// The nearest valid texel of each texel, by Euclidean distance in texels: first along columns, then across rows.
+// The nearest valid texel of each texel, by Euclidean distance in texels: first along columns, then across rows by the
+// lower envelope of parabolas (Felzenszwalb and Huttenlocher 2012). O(texels), however far apart the charts are.
 std::vector<std::uint32_t> nearest_valid(const TexelGrid& grid, const std::vector<TexelSource>& sources) {
   const int width = grid.width, height = grid.height;
   constexpr int kFar = std::numeric_limits<int>::max() / 4;
@@ -224,23 +274,39 @@ std::vector<std::uint32_t> nearest_valid(const TexelGrid& grid, const std::vecto
     }
   }
   std::vector<std::uint32_t> nearest(grid.size());
+  struct Parabola {
+    std::int64_t column, height;
+    std::int64_t first;  // column from which on it is the lowest
+  };
+  std::vector<Parabola> envelope;
   for (int row = 0; row < height; ++row) {
-    for (int column = 0; column < width; ++column) {
-      const std::size_t line = static_cast<std::size_t>(row) * static_cast<std::size_t>(width);
-      std::int64_t best = std::numeric_limits<std::int64_t>::max();
-      for (int reach = 0; reach < width && static_cast<std::int64_t>(reach) * reach < best; ++reach) {
-        for (const int other : {column - reach, column + reach}) {
-          if (other < 0 || other >= width) continue;
-          const int found = row_of[line + static_cast<std::size_t>(other)];
-          if (std::abs(found) >= kFar) continue;
-          const std::int64_t dy = found - row;
-          const std::int64_t squared = dy * dy + static_cast<std::int64_t>(reach) * reach;
-          if (squared < best) {
-            best = squared;
-            nearest[line + static_cast<std::size_t>(column)] = static_cast<std::uint32_t>(found * width + other);
-          }
-        }
+    const std::size_t line = static_cast<std::size_t>(row) * static_cast<std::size_t>(width);
+    envelope.clear();
+    for (std::int64_t column = 0; column < width; ++column) {
+      const int found = row_of[line + static_cast<std::size_t>(column)];
+      if (std::abs(found) >= kFar) continue;
+      Parabola next{column, static_cast<std::int64_t>(found - row) * (found - row), 0};
+      while (!envelope.empty()) {
+        const Parabola& last = envelope.back();
+        // They meet at numerator / (2 span); where that is a column, the one whose column is nearer has it.
+        const std::int64_t numerator =
+            next.height + next.column * next.column - last.height - last.column * last.column;
+        const std::int64_t span = 2 * (next.column - last.column);
+        const std::int64_t floor = numerator >= 0 ? numerator / span : -((-numerator + span - 1) / span);
+        next.first = floor + (floor * span == numerator && next.height > last.height ? 0 : 1);
+        if (next.first > last.first) break;
+        envelope.pop_back();
       }
+      if (envelope.empty()) next.first = 0;
+      if (next.first < width) envelope.push_back(next);
+    }
+    std::size_t lowest = 0;
+    for (int column = 0; column < width && !envelope.empty(); ++column) {
+      while (lowest + 1 < envelope.size() && envelope[lowest + 1].first <= column) ++lowest;
+      const auto source = static_cast<std::size_t>(envelope[lowest].column);
+      nearest[line + static_cast<std::size_t>(column)] =
+          static_cast<std::uint32_t>(row_of[line + source]) * static_cast<std::uint32_t>(width) +
+          static_cast<std::uint32_t>(source);
     }
   }
   return nearest;
@@ -248,15 +314,57 @@ std::vector<std::uint32_t> nearest_valid(const TexelGrid& grid, const std::vecto
 
 }  // namespace
 
+void check_charts(const Topology& t, const std::string& name) {
+  if (t.uv_faces.rows() == 0) throw_invalid_argument(name + ": no material coordinates (`vt` in OBJ); they are needed");
+  const double smallest = smallest_doubled_area(t);
+  const std::vector<std::uint32_t> charts = find_charts(t);
+  std::vector<std::int64_t> positive(charts.size(), -1), negative(charts.size(), -1);
+  bool any = false;
+  for (Eigen::Index f = 0; f < t.face_count(); ++f) {
+    const double area = UvTriangle(t, f).doubled_area();
+    if (!(std::abs(area) > smallest)) continue;
+    any = true;
+    const std::uint32_t chart = charts[t.uv_faces(f, 0)];
+    (area > 0 ? positive : negative)[chart] = f;
+    if (positive[chart] >= 0 && negative[chart] >= 0) {
+      throw_invalid_argument(name + ": material coordinates are folded: faces " + std::to_string(positive[chart]) +
+                             " and " + std::to_string(negative[chart]) + " of one chart have opposite orientation");
+    }
+  }
+  if (!any) throw_invalid_argument(name + ": no face has area in material coordinates");
+}
+
+Vec2 recover_material_scale(const Topology& t) {
+  const double smallest = smallest_doubled_area(t);
+  std::vector<std::pair<double, double>> along_u, along_v;
+  for (Eigen::Index f = 0; f < t.face_count(); ++f) {
+    const UvTriangle triangle(t, f);
+    const double area = triangle.doubled_area();
+    if (std::abs(area) <= smallest) continue;
+    const auto rest = [&](int k) -> Eigen::Vector3d { return t.rest_positions.row(t.faces(f, k)).cast<double>(); };
+    const Eigen::Vector3d x1 = rest(1) - rest(0), x2 = rest(2) - rest(0);
+    const Vec2 u1 = triangle.b - triangle.a, u2 = triangle.c - triangle.a;
+    // Derivatives of the rest positions by u and v.
+    along_u.emplace_back(((u2.y() * x1 - u1.y() * x2) / area).norm(), std::abs(area));
+    along_v.emplace_back(((u1.x() * x2 - u2.x() * x1) / area).norm(), std::abs(area));
+  }
+  const Vec2 scale(weighted_median(along_u), weighted_median(along_v));
+  constexpr double kMetres = 0.1;
+  if (((scale.array() - 1).abs() < kMetres).all() || !(scale.minCoeff() > 0)) return Vec2::Ones();
+  return scale;
+}
+
 ChartRaster rasterise_charts(const Topology& t, const TexelGrid& grid, bool with_rims, const std::string& name) {
   const std::vector<std::uint32_t> charts = find_charts(t);
   ChartRaster raster;
   raster.sources.resize(grid.size());
   raster.chart.assign(grid.size(), kNone);
-  fill_interior(t, grid, charts, name, raster);
+  raster.is_rim.assign(grid.size(), 0);
+  const double smallest = smallest_doubled_area(t);
+  fill_interior(t, grid, charts, smallest, name, raster);
   if (with_rims) {
     raster.reads = bilinear_reads(t, grid);
-    fill_rims(t, grid, charts, raster);
+    fill_rims(t, grid, charts, smallest, raster);
     own_chart_only(t, grid, charts, name, raster);
   }
   if (std::all_of(raster.sources.begin(), raster.sources.end(), [](const TexelSource& s) { return s.face == kNone; })) {

@@ -35,15 +35,26 @@ struct TexelRead {
 struct ChartRaster {
   std::vector<TexelSource> sources;      ///< one per texel
   std::vector<std::uint32_t> chart;      ///< one per texel; kNone for padding
+  std::vector<std::uint8_t> is_rim;      ///< one per texel: valid only because a vertex at a rim reads it
   std::vector<TexelRead> reads;          ///< one per material coordinate; empty without rims
   std::vector<std::uint32_t> padded_by;  ///< one per texel: the valid texel whose value it shows; itself if valid
 };
 
+/// Throws kInvalidArgument unless the material coordinates can be rasterised: they are there, some face has area in
+/// them, and no chart is folded (faces of both orientations). Charts may be rotated and mirrored; faces without area
+/// are allowed and cover no texel. Charts are the connected components of uv_faces.
+void check_charts(const Topology& topology, const std::string& name);
+
+/// Metres per unit of the material coordinates along u and v: the medians over the faces, weighted by area, of how long
+/// a unit is on the rest mesh. Exactly 1 and 1 if both are within 10 % of it: then the coordinates are in metres.
+/// The topology must pass check_charts.
+Eigen::Vector2d recover_material_scale(const Topology& topology);
+
 /// Rasterises the faces in material space. A centre on an edge belongs to the face in which it is deepest, then to the
 /// smallest face index. with_rims: texels outside the charts that vertices at their rims read also become valid, with
-/// the value at the nearest point of a face beside that vertex; and `reads` is filled. Charts are the connected
-/// components of uv_faces; a vertex reads texels of its own chart only. Throws kInvalidArgument if two faces overlap in
-/// a texel, no texel is valid, or (with_rims) a chart has none. O(texels + faces + covered texels).
+/// the value at the nearest point of a face beside that vertex; and `reads` is filled. A vertex reads texels of its own
+/// chart only. The topology must pass check_charts. Throws kInvalidArgument if two faces overlap in a texel, no texel
+/// is valid, or (with_rims) a chart has none. O(texels + faces + covered texels).
 ChartRaster rasterise_charts(const Topology& topology, const TexelGrid& grid, bool with_rims, const std::string& name);
 
 }  // namespace pleat

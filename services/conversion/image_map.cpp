@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <mutex>
 #include <string>
 
@@ -50,10 +51,20 @@ struct Box {
   Eigen::Vector2d low, high;
 };
 
+// Around the coordinates that faces use.
 Box material_box(const Topology& coarse, const Topology& fine) {
-  const auto low = [](const Uv& uv) { return Eigen::Vector2d(uv.colwise().minCoeff().cast<double>()); };
-  const auto high = [](const Uv& uv) { return Eigen::Vector2d(uv.colwise().maxCoeff().cast<double>()); };
-  return {low(coarse.uv).cwiseMin(low(fine.uv)), high(coarse.uv).cwiseMax(high(fine.uv))};
+  constexpr double kFar = std::numeric_limits<double>::max();
+  Box box{Eigen::Vector2d::Constant(kFar), Eigen::Vector2d::Constant(-kFar)};
+  for (const Topology* t : {&coarse, &fine}) {
+    for (Eigen::Index f = 0; f < t->face_count(); ++f) {
+      for (int k = 0; k < 3; ++k) {
+        const Eigen::Vector2d p = t->uv.row(t->uv_faces(f, k)).cast<double>();
+        box.low = box.low.cwiseMin(p);
+        box.high = box.high.cwiseMax(p);
+      }
+    }
+  }
+  return box;
 }
 
 double material_area(const Topology& t) {
@@ -62,16 +73,16 @@ double material_area(const Topology& t) {
     const Eigen::Vector2d a = t.uv.row(t.uv_faces(f, 0)).cast<double>();
     const Eigen::Vector2d u = t.uv.row(t.uv_faces(f, 1)).cast<double>().transpose() - a;
     const Eigen::Vector2d v = t.uv.row(t.uv_faces(f, 2)).cast<double>().transpose() - a;
-    area += 0.5 * (u.x() * v.y() - u.y() * v.x());
+    area += 0.5 * std::abs(u.x() * v.y() - u.y() * v.x());
   }
   return area;
 }
 
 // Sizes are rounded up to multiples of four, which keeps the aspect and suits vector units.
-ImageSpec resolve_size(ImageSpec spec, const Box& box, const Topology& fine) {
+ImageSpec resolve_size(ImageSpec spec, const Box& box, const Topology& fine, const Eigen::Vector2d& scale) {
   if (spec.coarse_width != 0) return spec;
-  const Eigen::Vector2d extent = box.high - box.low;
-  const double covered = material_area(fine) / (extent.x() * extent.y());
+  const double covered = material_area(fine) / (box.high - box.low).prod();
+  const Eigen::Vector2d extent = (box.high - box.low).cwiseProduct(scale);
   const double texels = spec.texels_per_fine_vertex * static_cast<double>(fine.vertex_count()) /
                         std::clamp(covered, 0.01, 1.0) / (spec.scale * spec.scale);
   const double aspect = std::clamp(extent.x() / extent.y(), 1e-3, 1e3);
@@ -137,21 +148,53 @@ void check_frame(const Frame& frame, const Topology& t, const char* name) {
   if (frame.velocities.rows() != 0) check(frame.velocities, "velocities");
 }
 
-// The nine features of each vertex ([MFSR-S] eq. 4).
-Features vertex_features(const Frame& frame, const Topology& t, const RigidTransform& transform) {
-  const Positions normals = vertex_normals(frame.positions, t.faces);
-  const Eigen::Matrix3f rotation_t = transform.rotation.transpose();
-  Features features(t.vertex_count(), kImageChannels);
-  features.middleCols<3>(kDisplacementChannel) =
-      (frame.positions * rotation_t).rowwise() + transform.translation.transpose();
-  features.middleCols<3>(kDisplacementChannel) -= t.rest_positions;
-  features.middleCols<3>(kNormalChannel) = normals * rotation_t;
-  if (frame.velocities.rows() != 0) {
-    features.middleCols<3>(kVelocityChannel) = frame.velocities * rotation_t;
-  } else {
-    features.middleCols<3>(kVelocityChannel).setZero();
+// Memory of one conversion that is under way.
+struct Scratch {
+  Positions rotated, normals;
+  Features features;
+};
+
+// Keeps what conversions on several threads have used.
+class ScratchPool {
+ public:
+  std::unique_ptr<Scratch> take() {
+    const std::lock_guard lock(mutex_);
+    if (free_.empty()) return std::make_unique<Scratch>();
+    std::unique_ptr<Scratch> scratch = std::move(free_.back());
+    free_.pop_back();
+    return scratch;
   }
-  return features;
+  void give_back(std::unique_ptr<Scratch> scratch) {
+    const std::lock_guard lock(mutex_);
+    free_.push_back(std::move(scratch));
+  }
+
+ private:
+  std::mutex mutex_;
+  std::vector<std::unique_ptr<Scratch>> free_;
+};
+
+// The nine features of each vertex ([MFSR-S] eq. 4).
+void vertex_features(const Frame& frame, const Topology& t, const RigidTransform& transform, Scratch& scratch) {
+  const Eigen::Matrix3f& r = transform.rotation;
+  scratch.rotated.resize(t.vertex_count(), 3);
+  for (Eigen::Index v = 0; v < t.vertex_count(); ++v) {
+    scratch.rotated.row(v) = r * Eigen::Vector3f(frame.positions.row(v));
+  }
+  // Normals of what was rotated, so that those of vertices without area do not depend on the motion, either.
+  vertex_normals(scratch.rotated, t.faces, scratch.normals);
+  Features& features = scratch.features;
+  features.resize(t.vertex_count(), kImageChannels);
+  const bool moving = frame.velocities.rows() != 0;
+  for (Eigen::Index v = 0; v < features.rows(); ++v) {
+    const Eigen::Vector3f rest = t.rest_positions.row(v);
+    features.row(v).segment<3>(kDisplacementChannel) =
+        Eigen::Vector3f(scratch.rotated.row(v)) + transform.translation - rest;
+    features.row(v).segment<3>(kNormalChannel) = scratch.normals.row(v);
+    Eigen::Vector3f velocity = Eigen::Vector3f::Zero();
+    if (moving) velocity = r * Eigen::Vector3f(frame.velocities.row(v));
+    features.row(v).segment<3>(kVelocityChannel) = velocity;
+  }
 }
 
 void shape_image(Tensor& image, int width, int height) {
@@ -184,11 +227,13 @@ const std::vector<std::string>& image_channel_names() {
 struct ImageMap::Maps {
   Topology coarse, fine;
   ImageSpec spec;
+  Eigen::Vector2d material_scale;
   TexelGrid coarse_grid, fine_grid;
   std::vector<std::uint8_t> coarse_mask, fine_mask;
   std::vector<TexelTaps> coarse_taps, fine_taps;
   SparseRows vertex_reads;  // fine vertices from fine texels
   ChartRaster fine_raster;
+  mutable ScratchPool scratch;
   mutable std::once_flag fit_once;
   mutable std::unique_ptr<TexelFit> fit_when_needed;
 
@@ -235,13 +280,14 @@ ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec
   check_spec(spec);
   validate_topology(coarse, "coarse mesh");
   validate_topology(fine, "fine mesh");
-  validate_material_coordinates(coarse, "coarse mesh");
-  validate_material_coordinates(fine, "fine mesh");
+  check_charts(coarse, "coarse mesh");
+  check_charts(fine, "fine mesh");
   Maps& m = *maps_;
   m.coarse = coarse;
   m.fine = fine;
   const Box box = material_box(coarse, fine);
-  m.spec = resolve_size(spec, box, fine);
+  m.material_scale = recover_material_scale(fine);
+  m.spec = resolve_size(spec, box, fine, m.material_scale);
   const std::int64_t width = static_cast<std::int64_t>(m.spec.coarse_width) * m.spec.scale;
   const std::int64_t height = static_cast<std::int64_t>(m.spec.coarse_height) * m.spec.scale;
   if (width > spec.max_fine_texels || height > spec.max_fine_texels || width * height > spec.max_fine_texels) {
@@ -278,6 +324,7 @@ int ImageMap::coarse_width() const { return maps_->coarse_grid.width; }
 int ImageMap::coarse_height() const { return maps_->coarse_grid.height; }
 int ImageMap::fine_width() const { return maps_->fine_grid.width; }
 int ImageMap::fine_height() const { return maps_->fine_grid.height; }
+Eigen::Vector2d ImageMap::material_scale() const { return maps_->material_scale; }
 const std::vector<std::uint8_t>& ImageMap::coarse_mask() const { return maps_->coarse_mask; }
 const std::vector<std::uint8_t>& ImageMap::fine_mask() const { return maps_->fine_mask; }
 
@@ -296,7 +343,10 @@ CoarseImage ImageMap::coarse_image(const Frame& coarse) const {
 void ImageMap::coarse_image(const Frame& coarse, const RigidTransform& transform, Tensor& image) const {
   check_frame(coarse, maps_->coarse, "coarse");
   shape_image(image, coarse_width(), coarse_height());
-  sample(maps_->coarse_taps, vertex_features(coarse, maps_->coarse, transform), image);
+  auto scratch = maps_->scratch.take();
+  vertex_features(coarse, maps_->coarse, transform, *scratch);
+  sample(maps_->coarse_taps, scratch->features, image);
+  maps_->scratch.give_back(std::move(scratch));
 }
 
 Tensor ImageMap::fine_image(const Frame& fine, const RigidTransform& transform) const {
@@ -308,13 +358,16 @@ Tensor ImageMap::fine_image(const Frame& fine, const RigidTransform& transform) 
 void ImageMap::fine_image(const Frame& fine, const RigidTransform& transform, Tensor& image) const {
   check_frame(fine, maps_->fine, "fine");
   shape_image(image, fine_width(), fine_height());
-  const Features features = vertex_features(fine, maps_->fine, transform);
+  auto scratch = maps_->scratch.take();
+  vertex_features(fine, maps_->fine, transform, *scratch);
   if (maps_->spec.method == FineImageMethod::kSampled) {
-    sample(maps_->fine_taps, features, image);
+    sample(maps_->fine_taps, scratch->features, image);
+    maps_->scratch.give_back(std::move(scratch));
     return;
   }
   const TexelFit& fit = maps_->fit();
-  const Eigen::MatrixXd solution = fit.solve(features.cast<double>());
+  const Eigen::MatrixXd solution = fit.solve(scratch->features.cast<double>());
+  maps_->scratch.give_back(std::move(scratch));
   const std::size_t size = maps_->fine_grid.size();
   for (std::size_t c = 0; c < kImageChannels; ++c) {
     float* plane = image.values.data() + c * size;

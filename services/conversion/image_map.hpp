@@ -35,7 +35,7 @@ struct ImageSpec {
   int coarse_height = 0;              ///< texels; set with coarse_width or not at all
   int scale = 4;                      ///< fine size over coarse size, 1 to 16
   FineImageMethod method = FineImageMethod::kFitted;
-  double lambda = 1e-4;                       ///< weight of the second differences of kFitted, > 0
+  double lambda = 5e-5;                       ///< weight of the second differences of kFitted, > 0
   std::int64_t max_fine_texels = 16ll << 20;  ///< more are refused before anything is built
 };
 
@@ -45,14 +45,15 @@ struct CoarseImage {
   RigidTransform transform;
 };
 
-/// The sparse maps between the meshes of one session and their images. Immutable after construction: every const member
-/// may be called from several threads.
+/// The sparse maps between the meshes of one session and their images. Every const member may be called from several
+/// threads; those that write into the caller's memory take none of their own once they have run.
 class ImageMap {
  public:
-  /// coarse, fine: both with material coordinates in the same space; fine need not be a subdivision of coarse.
+  /// coarse, fine: both with material coordinates in the same space; fine need not be a subdivision of coarse. The
+  /// coordinates may be in metres or normalised, in several charts, rotated or mirrored, with seams, holes and faces
+  /// without area.
   /// Throws kInvalidArgument (unusable topology; material coordinates absent, folded or overlapping; a spec out of
-  /// range; an image too small for a chart), kResourceExhausted (more than
-  /// spec.max_fine_texels).
+  /// range; an image too small for a chart), kResourceExhausted (more than spec.max_fine_texels).
   ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec& spec = {});
   ~ImageMap();
   ImageMap(ImageMap&&) noexcept;
@@ -63,6 +64,10 @@ class ImageMap {
   int coarse_height() const;
   int fine_width() const;
   int fine_height() const;
+
+  /// Metres per unit of the material coordinates along u and v, recovered from the rest mesh; (1, 1) if they are in
+  /// metres. It decides the aspect of an image whose size is chosen here.
+  Eigen::Vector2d material_scale() const;
 
   /// 1 where a texel holds a value of its own, 0 where it is padding; (h w) and (H W), row-major. A coarse texel is
   /// valid if its centre is in a chart; a fine texel also if a vertex at the rim of a chart reads it.

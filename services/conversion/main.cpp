@@ -10,8 +10,9 @@ int main(int argc, char** argv) {
     pleat::config::Options options("pleat-conversion", "Coarse meshes to geometry images, fine images to meshes.",
                                    "PLEAT_CONVERSION_");
     pleat::rpc::add_options(options, server);
-    options.add("max-vertices", conversion.max_vertices, "largest fine mesh of a session")
-        .add("max-texels", conversion.max_texels, "largest fine image of a session");
+    options.add("max-vertices", conversion.limits.max_vertices, "largest fine mesh of a session")
+        .add("max-texels", conversion.limits.max_texels, "largest fine image of a session")
+        .add("cached-maps", conversion.cached_maps, "fine vertices and texels of maps kept for sessions to come");
     if (!options.parse(argc, argv)) return 0;
     pleat::telemetry::set_up_logging("conversion", server.log);
     pleat::telemetry::Metrics metrics("conversion");

@@ -1,25 +1,31 @@
-// pleat.v1.Conversion over ImageMap.
+// pleat.v1.Conversion over Session.
 #pragma once
 
 #include <grpcpp/grpcpp.h>
 
+#include <algorithm>
 #include <cstdint>
+#include <memory>
 
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/conversion.grpc.pb.h"
+#include "services/conversion/session.hpp"
 
 namespace pleat::conversion {
 
 struct ServiceOptions {
-  std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session
-  std::int64_t max_texels = 4'000'000;    ///< of the fine image of a session
+  SessionLimits limits;
+  /// Fine vertices and texels of the maps kept for sessions to come, in all: about 100 bytes each.
+  std::int64_t cached_maps = 4'000'000;
 };
 
 /// Streams are independent of each other; frames of a stream need nothing of earlier ones.
 class ConversionService final : public v1::Conversion::Service {
  public:
   ConversionService(const ServiceOptions& options, telemetry::Metrics& metrics)
-      : options_(options), metrics_(metrics) {}
+      : options_(options),
+        metrics_(metrics),
+        maps_(static_cast<std::size_t>(std::max<std::int64_t>(options.cached_maps, 0))) {}
 
   grpc::Status ToImage(grpc::ServerContext* context,
                        grpc::ServerReaderWriter<v1::ToImageResponse, v1::ToImageRequest>* stream) override;
@@ -27,8 +33,11 @@ class ConversionService final : public v1::Conversion::Service {
                       grpc::ServerReaderWriter<v1::ToMeshResponse, v1::ToMeshRequest>* stream) override;
 
  private:
+  std::shared_ptr<Session> open(const v1::ConversionSetup& setup, bool with_fine, v1::ConversionOpened* opened);
+
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
+  MapCache maps_;
 };
 
 }  // namespace pleat::conversion

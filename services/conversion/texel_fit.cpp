@@ -5,7 +5,8 @@
 namespace pleat {
 namespace {
 
-constexpr double kEpsilon = 1e-8;
+// E^2 inside charts and at their rims.
+constexpr double kEpsilon = 1e-8, kRimEpsilon = 1e-4;
 using Triplets = std::vector<Eigen::Triplet<double, int>>;
 
 // Rows 1, -2, 1 over three neighbouring texels of one chart.
@@ -61,11 +62,14 @@ TexelFit::TexelFit(const Topology& topology, const TexelGrid& grid, const ChartR
       right.emplace_back(unknown[raster.reads[u].texel[i]], static_cast<int>(vertex_of[u]), weight);
     }
   }
+  Eigen::VectorXd epsilon(count);
   for (int i = 0; i < count; ++i) {
-    const TexelSource& source = raster.sources[texels_[static_cast<std::size_t>(i)]];
+    const std::uint32_t texel = texels_[static_cast<std::size_t>(i)];
+    const TexelSource& source = raster.sources[texel];
+    epsilon[i] = raster.is_rim[texel] != 0 ? kRimEpsilon : kEpsilon;
     for (int k = 0; k < 3; ++k) {
       const auto vertex = static_cast<int>(topology.faces(source.face, k));
-      right.emplace_back(i, vertex, kEpsilon * static_cast<double>(source.weight[static_cast<std::size_t>(k)]));
+      right.emplace_back(i, vertex, epsilon[i] * static_cast<double>(source.weight[static_cast<std::size_t>(k)]));
     }
   }
   right_ = make_sparse(count, static_cast<int>(topology.vertex_count()), right);
@@ -75,11 +79,12 @@ TexelFit::TexelFit(const Topology& topology, const TexelGrid& grid, const ChartR
   add_second_differences(grid, raster, unknown, differences, rows);
   const Eigen::SparseMatrix<double> a = make_sparse(static_cast<int>(topology.uv.rows()), count, reads);
   const Eigen::SparseMatrix<double> d = make_sparse(rows, count, differences);
-  Eigen::SparseMatrix<double> identity(count, count);
-  identity.setIdentity();
+  Eigen::SparseMatrix<double> e_part(count, count);
+  e_part.setIdentity();
+  e_part = epsilon.asDiagonal() * e_part;
   const Eigen::SparseMatrix<double> a_part = a.transpose() * a;
   const Eigen::SparseMatrix<double> d_part = d.transpose() * d;
-  factor_ = std::make_unique<SparseCholesky>(a_part + lambda * d_part + kEpsilon * identity);
+  factor_ = std::make_unique<SparseCholesky>(a_part + lambda * d_part + e_part);
 }
 
 Eigen::MatrixXd TexelFit::solve(const Eigen::MatrixXd& vertex_values) const {

@@ -8,9 +8,10 @@
 
 namespace pleat {
 
-/// Solves min_x |A x - y|^2 + lambda |D x|^2 + epsilon |x - S y|^2 over the valid texels x for vertex values y, where
-/// A are the vertices' bilinear reads, D the second differences along rows and columns inside one chart, and S the
-/// sampled image; epsilon = 1e-8 only decides texels that neither A nor D reaches. Factorised once.
+/// Solves min_x |A x - y|^2 + lambda |D x|^2 + |E (x - S y)|^2 over the valid texels x for vertex values y, where A are
+/// the vertices' bilinear reads, D the second differences along rows and columns inside one chart, and S the sampled
+/// image. E^2 is 1e-8, which only decides texels that neither A nor D reaches; at rims 1e-4, because a texel that a
+/// vertex reads with a small weight would be thrown far off to mend that vertex. Factorised once.
 class TexelFit {
  public:
   /// raster: with reads. Throws kInvalidArgument for lambda <= 0.
@@ -24,7 +25,7 @@ class TexelFit {
 
  private:
   std::vector<std::uint32_t> texels_;
-  Eigen::SparseMatrix<double> right_;  // (texels x V): A^T + epsilon S
+  Eigen::SparseMatrix<double> right_;  // (texels x V): A^T + E^2 S
   std::unique_ptr<SparseCholesky> factor_;
 };
 

@@ -1,4 +1,4 @@
-// pleat.v1.Refinement over Refiner.
+// pleat.v1.Refinement over Session.
 #pragma once
 
 #include <grpcpp/grpcpp.h>
@@ -7,14 +7,11 @@
 
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/refinement.grpc.pb.h"
+#include "services/refinement/session.hpp"
 
 namespace pleat::refinement {
 
-struct ServiceOptions {
-  std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session
-  int bisections = 5;                     ///< weights of impact zones are found to 2^-bisections
-  int threads = 0;                        ///< of a session; 0: as many as there are processors
-};
+using ServiceOptions = SessionOptions;
 
 /// Streams are independent of each other; frames of a stream need nothing of earlier ones.
 class RefinementService final : public v1::Refinement::Service {
@@ -26,6 +23,8 @@ class RefinementService final : public v1::Refinement::Service {
                       grpc::ServerReaderWriter<v1::RefineResponse, v1::RefineRequest>* stream) override;
 
  private:
+  void count(std::uint64_t index, const RefinementReport& report);
+
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
 };

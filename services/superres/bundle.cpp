@@ -6,6 +6,7 @@
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <sstream>
 
 #include "common/base/error.hpp"
 
@@ -19,27 +20,31 @@ std::string first_line(const std::string& text) { return text.substr(0, text.fin
 
 }  // namespace
 
-void publish_file(const std::string& partial, const std::string& path) {
-  const int file = ::open(partial.c_str(), O_RDONLY | O_CLOEXEC);
-  if (file < 0) throw Error(ErrorCode::kResourceExhausted, partial + ": " + std::strerror(errno));
-  const int result = ::fsync(file);
-  const int cause = errno;
+void publish_file(const std::string& bytes, const std::string& path) {
+  const std::string partial = path + ".partial";
+  const auto fail = [&](int cause) {
+    throw Error(ErrorCode::kResourceExhausted, partial + ": can't write: " + std::strerror(cause));
+  };
+  const int file = ::open(partial.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+  if (file < 0) fail(errno);
+  int cause = 0;
+  for (std::size_t done = 0; done < bytes.size() && cause == 0;) {
+    const ssize_t written = ::write(file, bytes.data() + done, bytes.size() - done);
+    if (written >= 0) done += static_cast<std::size_t>(written);
+    if (written < 0 && errno != EINTR) cause = errno;
+  }
+  if (cause == 0 && ::fsync(file) != 0) cause = errno;
   ::close(file);
-  if (result != 0) throw Error(ErrorCode::kResourceExhausted, partial + ": " + std::strerror(cause));
+  if (cause != 0) fail(cause);
   std::error_code error;
   std::filesystem::rename(partial, path, error);
   if (error) throw Error(ErrorCode::kResourceExhausted, path + ": can't rename: " + error.message());
 }
 
 void save_bundle(const torch::jit::Module& module, const Metadata& metadata, const std::string& path) {
-  const std::string partial = path + ".partial";
-  try {
-    module.save(partial, {{kMetadataFile, to_json(metadata)}});
-  } catch (const c10::Error& error) {
-    throw Error(ErrorCode::kResourceExhausted,
-                partial + ": can't write: " + first_line(error.what_without_backtrace()));
-  }
-  publish_file(partial, path);
+  std::ostringstream archive;
+  module.save(archive, {{kMetadataFile, to_json(metadata)}});
+  publish_file(archive.str(), path);
 }
 
 torch::jit::Module load_bundle(const std::string& path, Metadata& metadata) {

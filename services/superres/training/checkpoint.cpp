@@ -91,13 +91,12 @@ void save_checkpoint(const std::string& path, const std::string& config_json, co
     // The mesh's constants follow from the data set.
     if (name.rfind("base_", 0) != 0) archive.write("buffer_" + name, value);
   }
-  const std::string partial = path + ".partial";
-  try {
-    archive.save_to(partial);
-  } catch (const std::exception& error) {
-    throw Error(ErrorCode::kResourceExhausted, partial + ": can't write: " + first_line(error.what()));
-  }
-  publish_file(partial, path);
+  std::string bytes;
+  archive.save_to([&bytes](const void* data, std::size_t size) {
+    bytes.append(static_cast<const char*>(data), size);
+    return size;
+  });
+  publish_file(bytes, path);
 }
 
 void load_checkpoint(const std::string& path, const std::string& config_json, Network& network, Adam& adam,

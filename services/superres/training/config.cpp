@@ -1,6 +1,7 @@
 #include "services/superres/training/config.hpp"
 
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <map>
@@ -22,6 +23,7 @@ void visit(Visitor& v, Config& c) {
   v.value("output", c.output);
   v.value("seed", c.seed);
   v.section("architecture", [&] {
+    v.choice("kind", c.architecture.kind, {"mfsr", "srresnet", "chen2018"});
     v.value("blocks", c.architecture.blocks);
     v.value("layers", c.architecture.layers);
     v.value("growth", c.architecture.growth);
@@ -72,13 +74,16 @@ void visit(Visitor& v, Config& c) {
   });
   v.range("epochs", c.epochs, 1, 1000000);
   v.range("batch", c.batch, 1, 4096);
+  v.range("micro_batch", c.micro_batch, 0, 4096);
   v.range("patch", c.patch, 0, 8192);
   v.range("steps_per_epoch", c.steps_per_epoch, 0, 100000000);
   v.value("mirror", c.mirror);
   v.choice("precision", c.precision, {"float32", "bfloat16"});
   v.choice("device", c.device, {"auto", "cpu", "cuda"});
   v.choice("cache", c.cache, {"uint16", "float32"});
+  v.value("cache_folder", c.cache_folder);
   v.range("cache_limit_mb", c.cache_limit_mb, 1, 100000000);
+  v.value("strict", c.strict);
   v.range("threads", c.threads, 0, 4096);
   v.range("max_minutes", c.max_minutes, 0, 1e7);
   v.range("checkpoint_minutes", c.checkpoint_minutes, 0, 1e6);
@@ -204,16 +209,62 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   if (config.architecture.axes == "local" && config.patch != 0) {
     throw_invalid_argument(source + ": key 'architecture.axes' = 'local' needs whole images, 'patch' = 0");
   }
+  if (config.architecture.kind == "chen2018" && config.patch != 0) {
+    throw_invalid_argument(source + ": key 'architecture.kind' = 'chen2018' needs whole images, 'patch' = 0");
+  }
   validate(config.architecture);
   return config;
 }
 
-TrainConfig read_train_config(const std::string& path) {
+namespace {
+
+constexpr int kMostBases = 8;
+
+json read_document(const std::filesystem::path& path, int depth) {
   std::ifstream file(path);
   std::stringstream text;
   text << file.rdbuf();
-  if (!file) throw_not_found(path + ": can't be read");
-  return train_config_from_json(text.str(), path);
+  if (!file) throw_not_found(path.string() + ": can't be read");
+  json document;
+  try {
+    document = json::parse(text.str());
+  } catch (const json::parse_error& error) {
+    throw_invalid_argument(path.string() + ": no JSON, at byte " + std::to_string(error.byte));
+  }
+  if (!document.is_object()) throw_invalid_argument(path.string() + ": must be a JSON object");
+  const auto base = document.find("base");
+  if (base == document.end()) return document;
+  if (!base->is_string() || depth >= kMostBases) {
+    throw_invalid_argument(path.string() + ": key 'base' must name a file, and files may not go round in a circle");
+  }
+  json whole = read_document(path.parent_path() / base->get<std::string>(), depth + 1);
+  document.erase("base");
+  whole.merge_patch(document);
+  return whole;
+}
+
+void apply_change(json& document, const std::string& change) {
+  const auto equals = change.find('=');
+  if (equals == std::string::npos || equals == 0) {
+    throw_invalid_argument("--set " + change + ": must be key=value or section.key=value");
+  }
+  const std::string key = change.substr(0, equals), text = change.substr(equals + 1);
+  json value = json::parse(text, nullptr, false);
+  if (value.is_discarded()) value = text;
+  const auto dot = key.find('.');
+  if (dot == std::string::npos) {
+    document[key] = std::move(value);
+  } else {
+    document[key.substr(0, dot)][key.substr(dot + 1)] = std::move(value);
+  }
+}
+
+}  // namespace
+
+TrainConfig read_train_config(const std::string& path, const std::vector<std::string>& changes) {
+  json document = read_document(path, 0);
+  for (const std::string& change : changes) apply_change(document, change);
+  return train_config_from_json(document.dump(), path);
 }
 
 std::string to_json(const TrainConfig& config) {
@@ -224,8 +275,9 @@ std::string to_json(const TrainConfig& config) {
 
 std::string first_difference(const std::string& a, const std::string& b) {
   const json left = json::parse(a).flatten(), right = json::parse(b).flatten();
-  static const char* const kFree[] = {"/output",         "/epochs",  "/threads", "/max_minutes", "/checkpoint_minutes",
-                                      "/cache_limit_mb", "/initial", "/dataset"};
+  static const char* const kFree[] = {"/output",         "/epochs",  "/threads", "/max_minutes",  "/checkpoint_minutes",
+                                      "/cache_limit_mb", "/initial", "/dataset", "/cache_folder", "/strict",
+                                      "/micro_batch"};
   for (const auto& [key, value] : left.items()) {
     const bool free = std::any_of(std::begin(kFree), std::end(kFree), [&](const char* k) { return key == k; });
     if (!free && (!right.contains(key) || right[key] != value)) return key.substr(1);

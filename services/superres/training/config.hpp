@@ -68,18 +68,25 @@ struct TrainConfig {
   std::string precision = "float32";  ///< of the body: "float32" or "bfloat16"
   std::string device = "auto";        ///< "auto", "cpu" or "cuda"
   std::string cache = "uint16";       ///< images in memory: "uint16" (fixed point, 3e-5 of the range) or "float32"
-  int cache_limit_mb = 8192;
-  int threads = 0;         ///< 0: all processors this process may use
-  double max_minutes = 0;  ///< wall clock over all resumed runs; 0: no limit
+  std::string cache_folder;           ///< files of the images, which are mapped into memory; empty: DATASET/images
+  int cache_limit_mb = 32768;         ///< of them together
+  bool strict = false;                ///< sequences that can't be used are an error, not a warning
+  int threads = 0;                    ///< 0: all processors this process may use
+  double max_minutes = 0;             ///< wall clock over all resumed runs; 0: no limit
   double checkpoint_minutes = 2;
+  /// Windows that one pass holds; a step adds up the gradients of several. 0: all of them, fewer after the device ran
+  /// out of memory.
+  int micro_batch = 0;
   std::string initial;  ///< check-point whose weights begin the training; empty: fresh weights
 };
 
 /// Reads JSON. An unknown key, an ill-typed value or one out of range is kInvalidArgument and names the key with its
 /// place, for example "optimizer.learning_rate"; text that is no JSON too.
 TrainConfig train_config_from_json(const std::string& text, const std::string& source);
-/// The same from a file. kNotFound if it can't be read.
-TrainConfig read_train_config(const std::string& path);
+/// The same from a file. Key "base" names another file, relative to it, whose keys hold where the file has none.
+/// `changes` are "key=value" or "section.key=value", applied last; a value that is no JSON is a string.
+/// kNotFound if a file can't be read.
+TrainConfig read_train_config(const std::string& path, const std::vector<std::string>& changes = {});
 
 /// All keys, with defaults filled in.
 std::string to_json(const TrainConfig& config);

@@ -2,6 +2,8 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <cstdio>
+#include <filesystem>
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -12,6 +14,7 @@
 #include "common/store/dataset.hpp"
 #include "services/conversion/image_map.hpp"
 #include "services/superres/training/make_mesh_base.hpp"
+#include "services/superres/training/pair_file.hpp"
 #include "services/superres/training/pairs.hpp"
 
 namespace pleat::superres {
@@ -203,6 +206,59 @@ bool in_validation(const TrainConfig& config, const SequenceInfo& sequence) {
   return sequence.split == config.validation.split;
 }
 
+/// FNV-1a.
+std::uint64_t hash_of(const std::string& text) {
+  std::uint64_t hash = 0xcbf29ce484222325ull;
+  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3ull;
+  return hash;
+}
+
+/// Of everything that decides the images of a sequence.
+std::uint64_t content_hash(const TrainConfig& config, const SequenceInfo& info, const PairData& data) {
+  const std::filesystem::path finished = std::filesystem::path(config.dataset) / "sequences" / (info.name + ".h5");
+  const std::filesystem::path file = info.finished ? finished : std::filesystem::path(finished.string() + ".partial");
+  std::error_code error;
+  const auto written = std::filesystem::last_write_time(file, error).time_since_epoch().count();
+  return hash_of(json{{"topology", {data.topology_hash, info.topology_hash}},
+                      {"images", data.image_spec},
+                      {"minimum", data.normalization.minimum},
+                      {"maximum", data.normalization.maximum},
+                      {"frames", info.frames_complete},
+                      {"frame_time_s", data.frame_time_s},
+                      {"file", {std::filesystem::file_size(file, error), written}}}
+                     .dump());
+}
+
+/// Sequences that can be used, and nothing about those that can't beyond a line each.
+std::vector<SequenceInfo> usable_sequences(const TrainConfig& config, const DatasetReader& reader,
+                                           const std::function<void(const std::string&)>& report) {
+  const auto skip = [&](const std::string& text) {
+    if (config.strict) throw_data_loss(text);
+    report("warning: skipped: " + text);
+  };
+  std::vector<SequenceInfo> usable;
+  const auto all = reader.sequences(
+      [&](const std::string& name, const Error& error) { skip("sequence " + name + ": " + error.what()); });
+  const std::string hash = topology_hash(reader.topology().fine);
+  for (const SequenceInfo& sequence : all) {
+    if (sequence.split != "train" && !in_validation(config, sequence)) continue;
+    if (sequence.topology_hash != hash) {
+      throw_invalid_argument(config.dataset + ": sequence " + sequence.name + " has another mesh (" +
+                             sequence.topology_hash + ") than the data set (" + hash + ")");
+    }
+    if (!sequence.finished || sequence.frames_complete < sequence.frames) {
+      skip("sequence " + sequence.name + ": " + std::to_string(sequence.frames_complete) + " of " +
+           std::to_string(sequence.frames) + " frames were recorded");
+      continue;
+    }
+    if (sequence.frames_complete > 0) usable.push_back(sequence);
+  }
+  if (std::none_of(usable.begin(), usable.end(), [&](const auto& s) { return !in_validation(config, s); })) {
+    throw_invalid_argument(config.dataset + ": no finished sequence to train on (split 'train')");
+  }
+  return usable;
+}
+
 }  // namespace
 
 LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report) {
@@ -212,28 +268,26 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
   ThreadPool pool(static_cast<std::size_t>(config.threads));
   const Converter converter(reader, *map, pool, master.frame_time_s);
 
-  std::vector<SequenceInfo> sequences;
+  const std::vector<SequenceInfo> sequences = usable_sequences(config, reader, report);
   std::size_t frames = 0;
-  for (const SequenceInfo& sequence : reader.sequences()) {
-    const bool used = sequence.frames_complete > 0 && (sequence.split == "train" || in_validation(config, sequence));
-    if (!used) continue;
-    sequences.push_back(sequence);
-    frames += sequence.frames_complete;
-  }
+  for (const SequenceInfo& sequence : sequences) frames += sequence.frames_complete;
   for (const std::string& name : config.validation.sequences) {
     if (std::none_of(sequences.begin(), sequences.end(), [&](const auto& s) { return s.name == name; })) {
-      throw_not_found(config.dataset + ": key 'validation.sequences' names " + name + ", which does not exist");
+      throw_not_found(config.dataset + ": key 'validation.sequences' names " + name +
+                      ", which does not exist or can't be used");
     }
   }
   const auto coarse_texels =
       static_cast<std::size_t>(map->coarse_width()) * static_cast<std::size_t>(map->coarse_height());
   const std::size_t value = config.cache == "float32" ? 4 : 2;
-  const std::size_t megabytes = frames * kChannels * coarse_texels * (1 + kScale * kScale) * value >> 20;
+  const std::size_t megabytes = frames * kChannels * coarse_texels * (sizeof(float) + kScale * kScale * value) >> 20;
   if (megabytes > static_cast<std::size_t>(config.cache_limit_mb)) {
     throw Error(ErrorCode::kResourceExhausted,
                 config.dataset + ": " + std::to_string(frames) + " frames need " + std::to_string(megabytes) +
                     " MB of images, key 'cache_limit_mb' allows " + std::to_string(config.cache_limit_mb));
   }
+  const std::filesystem::path image_folder =
+      config.cache_folder.empty() ? std::filesystem::path(config.dataset) / "images" : std::filesystem::path(config.cache_folder);
 
   LoadedPairs loaded;
   PairData& data = loaded.data;
@@ -273,38 +327,58 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
       std::make_unique<ImageMap>(master.topology.coarse, master.topology.fine, make_spec(config.images)),
       master.topology, data.normalization);
   json names = {{"train", json::array()}, {"validation", json::array()}};
-  std::size_t clamped = 0;
   if (needs_mesh(config.architecture)) data.mesh_base = make_mesh_base(master.topology, make_spec(config.images));
   for (const SequenceInfo& info : sequences) {
     PairSequence sequence;
     sequence.name = info.name;
     sequence.validation = in_validation(config, info);
+    PairFileKey key{0, info.frames_complete, map->coarse_height(), map->coarse_width(), config.cache == "uint16"};
+    key.content = content_hash(config, info, data);
+    char file[24];
+    std::snprintf(file, sizeof file, "-%016llx.bin", static_cast<unsigned long long>(key.content));
+    const std::filesystem::path path = image_folder / (info.name + file);
+    if (map_pair_file(path, key, sequence)) {
+      report(info.name + ": " + std::to_string(info.frames_complete) + " frames from " + path.string());
+    } else {
+      std::size_t clamped = 0;
+      PairFileWriter writer(path, key);
+      const auto convert = [&] {
+        converter.run(info, 1, [&](std::uint64_t, Converter::Converted& frame) {
+          scale_to_unit(frame.coarse, data.normalization);
+          scale_to_unit(frame.fine, data.normalization);
+          for (const float v : frame.fine.values) clamped += key.fixed_point && (v < -0.5F || v >= 1.5F) ? 1 : 0;
+          std::array<float, 9> rotation{};
+          for (std::size_t i = 0; i < 9; ++i) {
+            rotation[i] = frame.transform.rotation(static_cast<Eigen::Index>(i / 3), static_cast<Eigen::Index>(i % 3));
+          }
+          writer.append(frame.coarse.values, frame.fine.values, rotation);
+        });
+      };
+      try {
+        convert();
+      } catch (const Error& error) {
+        // The attributes promised frames that the file does not hold.
+        if (error.code() != ErrorCode::kDataLoss || config.strict) throw;
+        report("warning: skipped: sequence " + info.name + ": " + error.what());
+        continue;
+      }
+      writer.finish();
+      if (!map_pair_file(path, key, sequence)) throw_data_loss(path.string() + ": can't be read back");
+      report(info.name + ": " + std::to_string(info.frames_complete) + " frames converted" +
+             (clamped > 0 ? ", " + std::to_string(clamped) + " values beyond [-0.5, 1.5) clamped" : ""));
+    }
+    if (sequence.validation) {
+      const auto every = static_cast<std::uint64_t>(config.validation.every_frames);
+      for (std::uint64_t k = 0; k < info.frames_complete; k += every) {
+        Judge::Truth truth{
+            std::move(reader.coarse(info.name, k, k + 1).at(0)), std::move(reader.fine(info.name, k, k + 1).at(0)), {}};
+        truth.transform = map->align(truth.coarse);
+        judge->add(data.sequences.size(), k, std::move(truth));
+      }
+    }
     names[sequence.validation ? "validation" : "train"].push_back(info.name);
-    const bool fixed_point = config.cache == "uint16";
-    sequence.coarse = ImageStore(map->coarse_height(), map->coarse_width(), false);
-    sequence.fine = ImageStore(map->fine_height(), map->fine_width(), fixed_point);
-    sequence.coarse.reserve(info.frames_complete);
-    sequence.fine.reserve(info.frames_complete);
-    converter.run(info, 1, [&](std::uint64_t index, Converter::Converted& frame) {
-      scale_to_unit(frame.coarse, data.normalization);
-      scale_to_unit(frame.fine, data.normalization);
-      for (const float v : frame.fine.values) clamped += fixed_point && (v < -0.5F || v >= 1.5F) ? 1 : 0;
-      sequence.coarse.append(frame.coarse.values);
-      sequence.fine.append(frame.fine.values);
-      std::array<float, 9> rotation{};
-      for (std::size_t i = 0; i < 9; ++i) {
-        rotation[i] = frame.transform.rotation(static_cast<Eigen::Index>(i / 3), static_cast<Eigen::Index>(i % 3));
-      }
-      sequence.rotations.push_back(rotation);
-      if (sequence.validation && index % static_cast<std::uint64_t>(config.validation.every_frames) == 0) {
-        judge->add(data.sequences.size(), index, {frame.coarse_positions, frame.fine_positions, frame.transform});
-      }
-    });
-    report(info.name + ": " + std::to_string(info.frames_complete) + " frames for " +
-           (sequence.validation ? "validation" : "training"));
     data.sequences.push_back(std::move(sequence));
   }
-  if (clamped > 0) report(std::to_string(clamped) + " values beyond [-0.5, 1.5) were clamped");
   if (data.sequences.empty()) throw_invalid_argument(config.dataset + ": no sequences with frames");
   data.description = json{
       {"dataset", std::filesystem::path(config.dataset).filename().string()},

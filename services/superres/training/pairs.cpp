@@ -20,7 +20,7 @@ float from_fixed(std::uint16_t value) { return static_cast<float>(value) / kFixe
 }  // namespace
 
 void ImageStore::reserve(std::size_t images) {
-  const std::size_t values = images * kChannels * static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
+  const std::size_t values = images * image_values();
   if (fixed_point_) {
     fixed_.reserve(values);
   } else {
@@ -29,9 +29,7 @@ void ImageStore::reserve(std::size_t images) {
 }
 
 void ImageStore::append(std::span<const float> image) {
-  if (image.size() != kChannels * static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_)) {
-    throw_internal("image store: image of another size");
-  }
+  if (image.size() != image_values() || mapped_) throw_internal("image store: image of another size, or not its own");
   if (fixed_point_) {
     std::transform(image.begin(), image.end(), std::back_inserter(fixed_), to_fixed);
   } else {
@@ -40,15 +38,27 @@ void ImageStore::append(std::span<const float> image) {
   ++count_;
 }
 
+const void* ImageStore::data() const {
+  if (mapped_) return mapped_.get();
+  if (fixed_point_) return fixed_.data();
+  return float_.data();
+}
+
 void ImageStore::read(std::size_t index, int row, int column, int height, int width, float* target) const {
   const auto stride = static_cast<std::size_t>(width_);
   const std::size_t plane = stride * static_cast<std::size_t>(height_);
+  const auto* fixed = static_cast<const std::uint16_t*>(data());
+  const auto* exact = static_cast<const float*>(data());
   for (std::size_t c = 0; c < kChannels; ++c) {
     for (int r = 0; r < height; ++r) {
       const std::size_t first = (index * kChannels + c) * plane + static_cast<std::size_t>(row + r) * stride +
                                 static_cast<std::size_t>(column);
       const std::size_t last = first + static_cast<std::size_t>(width);
-      for (std::size_t i = first; i < last; ++i) *target++ = fixed_point_ ? from_fixed(fixed_[i]) : float_[i];
+      if (fixed_point_) {
+        for (std::size_t i = first; i < last; ++i) *target++ = from_fixed(fixed[i]);
+      } else {
+        target = std::copy(exact + first, exact + last, target);
+      }
     }
   }
 }

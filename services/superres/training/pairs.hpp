@@ -17,27 +17,38 @@
 namespace pleat::superres {
 
 /// Images (9, h, w) of equal size, kept as float32 or as 16-bit fixed point over [-0.5, 1.5): a step of 3e-5, an RMS
-/// error of 9e-6 (100 dB), where half precision would have 2e-4 near 1. Values beyond are clamped.
+/// error of 9e-6 (100 dB), where half precision would have 2e-4 near 1. Values beyond are clamped. Either it owns them,
+/// or it reads them where somebody else keeps them.
 class ImageStore {
  public:
   ImageStore() = default;
   ImageStore(int height, int width, bool fixed_point) : height_(height), width_(width), fixed_point_(fixed_point) {}
 
+  /// `count` images that lie at `images`.
+  ImageStore(int height, int width, bool fixed_point, std::size_t count, std::shared_ptr<const char> images)
+      : height_(height), width_(width), fixed_point_(fixed_point), count_(count), mapped_(std::move(images)) {}
+
+  /// Only if it owns its images.
   void append(std::span<const float> image);
   /// Copies the window of `height` x `width` texels from (row, column) of every channel to target (9, height, width).
   void read(std::size_t index, int row, int column, int height, int width, float* target) const;
   std::size_t size() const { return count_; }
   int height() const { return height_; }
   int width() const { return width_; }
-  std::size_t bytes() const { return fixed_.size() * 2 + float_.size() * 4; }
+  std::size_t bytes() const { return count_ * image_values() * (fixed_point_ ? 2 : 4); }
+  const void* data() const;
   void reserve(std::size_t images);
 
  private:
   int height_ = 0, width_ = 0;
   bool fixed_point_ = false;
   std::size_t count_ = 0;
+  std::size_t image_values() const {
+    return kChannels * static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
+  }
   std::vector<std::uint16_t> fixed_;
   std::vector<float> float_;
+  std::shared_ptr<const char> mapped_;
 };
 
 /// One sequence of consecutive frames.

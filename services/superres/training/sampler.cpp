@@ -61,9 +61,8 @@ struct Mirror {
   bool any() const { return reverse_u || reverse_v || across; }
 };
 
-Mirror draw_mirror(Random& random, const std::vector<std::array<float, 3>>& axes) {
+Mirror make_mirror(std::uint64_t bits, const std::vector<std::array<float, 3>>& axes) {
   Mirror mirror;
-  const std::uint64_t bits = random.next();
   mirror.reverse_u = (bits & 1) != 0, mirror.reverse_v = (bits & 2) != 0, mirror.across = (bits & 4) != 0;
   const auto& u = axes[0];
   const auto& v = axes[1];
@@ -161,9 +160,32 @@ std::string Sampler::describe(int epoch, int step) const {
   return text;
 }
 
-Batch Sampler::batch(int epoch, int step) const {
+Sampler::Cut Sampler::cut_of(int epoch, int step, int window) const {
+  Random random(config_.seed, epoch, step, window, 2);
+  Cut cut{};
+  cut.row = static_cast<int>(random.below(static_cast<std::size_t>(data_.coarse_height() - patch_height_) + 1));
+  cut.column = static_cast<int>(random.below(static_cast<std::size_t>(data_.coarse_width() - patch_width_) + 1));
+  cut.mirror = config_.mirror ? random.next() : 0;
+  return cut;
+}
+
+double Sampler::valid_texels(int epoch, int step) const {
+  const std::size_t stride = static_cast<std::size_t>(kScale) * static_cast<std::size_t>(data_.coarse_width());
+  double count = 0;
+  for (int window = 0; window < config_.batch; ++window) {
+    const Cut cut = cut_of(epoch, step, window);
+    for (int r = kScale * cut.row; r < kScale * (cut.row + patch_height_); ++r) {
+      const auto row = data_.fine_mask.begin() + static_cast<std::ptrdiff_t>(static_cast<std::size_t>(r) * stride);
+      count += static_cast<double>(std::count_if(row + kScale * cut.column, row + kScale * (cut.column + patch_width_),
+                                                 [](std::uint8_t m) { return m != 0; }));
+    }
+  }
+  return count * frames_;
+}
+
+Batch Sampler::batch(int epoch, int step, int first_window, int last_window) const {
   const auto windows = windows_of(epoch, step);
-  const auto images = static_cast<std::int64_t>(windows.size()) * frames_;
+  const auto images = static_cast<std::int64_t>(last_window - first_window) * frames_;
   const int h = patch_height_, w = patch_width_, fine_h = kScale * h, fine_w = kScale * w;
   Batch batch;
   batch.frames = frames_;
@@ -176,13 +198,12 @@ Batch Sampler::batch(int epoch, int step) const {
     batch.base = torch::empty_like(batch.fine);
     batch.structure = torch::empty({images, kStructureChannels, h, w});
   }
-  Random random(config_.seed, epoch, step, 2);
   std::int64_t n = 0;
-  for (const Window& window : windows) {
+  for (int index = first_window; index < last_window; ++index) {
+    const Window& window = windows[static_cast<std::size_t>(index)];
     const PairSequence& sequence = data_.sequences[window.sequence];
-    const auto row = static_cast<int>(random.below(static_cast<std::size_t>(data_.coarse_height() - h) + 1));
-    const auto column = static_cast<int>(random.below(static_cast<std::size_t>(data_.coarse_width() - w) + 1));
-    const Mirror mirror = config_.mirror ? draw_mirror(random, data_.sheet_axes) : Mirror{};
+    const auto [row, column, bits] = cut_of(epoch, step, index);
+    const Mirror mirror = config_.mirror ? make_mirror(bits, data_.sheet_axes) : Mirror{};
     for (int f = 0; f < frames_; ++f, ++n) {
       const std::size_t frame = window.first + static_cast<std::size_t>(f);
       auto coarse = batch.coarse[n], fine = batch.fine[n], mask = batch.mask[n];

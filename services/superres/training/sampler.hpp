@@ -21,8 +21,14 @@ class Sampler {
   int steps_per_epoch() const { return steps_; }
   int frames_per_window() const { return frames_; }
 
-  /// The batch of a step; windows are drawn without repetition until all had their turn.
-  Batch batch(int epoch, int step) const;
+  int windows_per_step() const { return config_.batch; }
+
+  /// Windows [first, last) of a step's batch. They are drawn without repetition until all had their turn.
+  Batch batch(int epoch, int step, int first, int last) const;
+  Batch batch(int epoch, int step) const { return batch(epoch, step, 0, config_.batch); }
+
+  /// Valid texels of all images of a step.
+  double valid_texels(int epoch, int step) const;
 
   /// The windows of a step, "sequence name:first frame, ...", for error messages.
   std::string describe(int epoch, int step) const;
@@ -31,7 +37,13 @@ class Sampler {
   struct Window {
     std::size_t sequence, first;
   };
+  /// Where a window is cut out, and how it is mirrored.
+  struct Cut {
+    int row, column;
+    std::uint64_t mirror;
+  };
   std::vector<Window> windows_of(int epoch, int step) const;
+  Cut cut_of(int epoch, int step, int window) const;
 
   const TrainConfig& config_;
   const PairData& data_;

@@ -10,13 +10,14 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
-#include <optional>
 
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
 #include "services/superres/bundle.hpp"
-#include "services/superres/cpu/texels.hpp"
 #include "services/superres/training/checkpoint.hpp"
+#include "services/superres/training/communicator.hpp"
+#include "services/superres/training/conditioning.hpp"
+#include "services/superres/training/log.hpp"
 #include "services/superres/training/sampler.hpp"
 
 namespace pleat::superres {
@@ -25,139 +26,15 @@ namespace {
 using nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t kConditioningFrames = 256;
-constexpr const char* kLogHeader =
-    "epoch,steps,minutes,learning_rate,total,displacement,normal,velocity,kinematic,psnr_db,vmse_m2,rmse_m,best";
+/// Values that the processes share after each step: five losses, the first one's wish to stop, and its clock.
+constexpr std::int64_t kShared = 7, kStop = 5, kMinutes = 6;
+
+bool out_of_memory(const std::exception& error) {
+  const std::string text = error.what();
+  return text.find("out of memory") != std::string::npos || text.find("can't allocate memory") != std::string::npos;
+}
 
 double decibel(double mean_square) { return mean_square > 0 ? -10 * std::log10(mean_square) : 200; }
-
-json to_json(const EpochReport& r) {
-  return {{"epoch", r.epoch},
-          {"steps", r.steps},
-          {"minutes", r.minutes},
-          {"learning_rate", r.learning_rate},
-          {"total", r.total},
-          {"displacement", r.displacement},
-          {"normal", r.normal},
-          {"velocity", r.velocity},
-          {"kinematic", r.kinematic},
-          {"validated", r.validated},
-          {"psnr_db", r.psnr_db},
-          {"vmse_m2", r.vmse_m2},
-          {"best", r.best}};
-}
-
-EpochReport report_from_json(const std::string& text) {
-  EpochReport r;
-  if (text.empty()) return r;
-  const json d = json::parse(text);
-  r.epoch = d.at("epoch"), r.steps = d.at("steps"), r.minutes = d.at("minutes");
-  r.learning_rate = d.at("learning_rate"), r.total = d.at("total"), r.displacement = d.at("displacement");
-  r.normal = d.at("normal"), r.velocity = d.at("velocity"), r.kinematic = d.at("kinematic");
-  r.validated = d.at("validated"), r.psnr_db = d.at("psnr_db"), r.vmse_m2 = d.at("vmse_m2"), r.best = d.at("best");
-  return r;
-}
-
-std::string csv_row(const EpochReport& r) {
-  char row[512];
-  std::snprintf(row, sizeof row, "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.9g,%.9g,%d", r.epoch,
-                static_cast<long long>(r.steps), r.minutes, r.learning_rate, r.total, r.displacement, r.normal,
-                r.velocity, r.kinematic, r.psnr_db, r.vmse_m2, std::sqrt(r.vmse_m2), r.best ? 1 : 0);
-  return row;
-}
-
-/// Keeps the rows of the epochs before `epoch`: those after the check-point will come again.
-void cut_log(const std::string& path, int epoch) {
-  std::string kept = std::string(kLogHeader) + "\n";
-  std::ifstream old(path);
-  std::string line;
-  std::getline(old, line);
-  while (std::getline(old, line)) {
-    if (std::atoi(line.c_str()) <= epoch) kept += line + "\n";
-  }
-  old.close();
-  std::ofstream file(path, std::ios::trunc);
-  file << kept;
-  if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, path + ": can't write");
-}
-
-/// Mean and deviation per channel, gathered image by image.
-class Statistics {
- public:
-  explicit Statistics(int channels) : sum_(torch::zeros({channels}, torch::kFloat64)), squares_(sum_.clone()) {}
-
-  /// values: (1, C, h, w); mask: (1, 1, h, w) of 0 and 1.
-  void add(const torch::Tensor& values, const torch::Tensor& mask) {
-    const auto weighted = values.to(torch::kFloat64) * mask;
-    sum_ += weighted.sum(torch::IntArrayRef{0, 2, 3});
-    squares_ += weighted.square().sum(torch::IntArrayRef{0, 2, 3});
-    count_ += mask.sum().item<double>();
-  }
-  std::vector<float> mean() const { return to_vector(sum_ / count_); }
-  std::vector<float> deviation() const {
-    return to_vector((squares_ / count_ - (sum_ / count_).square()).clamp_min(0).sqrt().clamp_min(1e-6));
-  }
-
- private:
-  static std::vector<float> to_vector(const torch::Tensor& t) {
-    const auto values = t.to(torch::kFloat32).contiguous();
-    return {values.data_ptr<float>(), values.data_ptr<float>() + values.numel()};
-  }
-  torch::Tensor sum_, squares_;
-  double count_ = 0;
-};
-
-Conditioning measure(const PairData& data, const Architecture& architecture) {
-  const bool local = architecture.axes == "local";
-  std::optional<cpu::UpsampledMesh> mesh;
-  if (architecture.residual == "mesh") mesh.emplace(data.mesh_base, data.coarse_height(), data.coarse_width());
-  const torch::NoGradGuard no_grad;
-  const int h = data.coarse_height(), w = data.coarse_width();
-  const std::size_t stride = std::max<std::size_t>(1, data.training_frames() / kConditioningFrames);
-  const auto all = torch::ones({1, 1, h, w}, torch::kFloat64);
-  const auto mask =
-      torch::from_blob(const_cast<std::uint8_t*>(data.fine_mask.data()), {1, 1, kScale * h, kScale * w}, torch::kUInt8)
-          .to(torch::kFloat64);
-  torch::Tensor minimum, range, rest;
-  if (local) {
-    minimum = torch::tensor(std::vector<float>(data.normalization.minimum.begin(), data.normalization.minimum.end()));
-    range = torch::tensor(std::vector<float>(data.normalization.maximum.begin(), data.normalization.maximum.end()));
-    minimum = minimum.view({1, kChannels, 1, 1});
-    range = range.view({1, kChannels, 1, 1}) - minimum;
-    rest = torch::tensor(data.mesh_base.rest).view({1, 3, h, w});
-  }
-  Statistics input(kChannels), detail(kChannels), output(kChannels), features(kLocalChannels), local_output(kChannels);
-  std::size_t index = 0;
-  for (const auto& sequence : data.sequences) {
-    if (sequence.validation) continue;
-    for (std::size_t f = 0; f < sequence.coarse.size(); ++f, ++index) {
-      if (index % stride != 0) continue;
-      const auto coarse = torch::empty({1, kChannels, h, w}),
-                 fine = torch::empty({1, kChannels, kScale * h, kScale * w});
-      sequence.coarse.read(f, 0, 0, h, w, coarse.data_ptr<float>());
-      sequence.fine.read(f, 0, 0, kScale * h, kScale * w, fine.data_ptr<float>());
-      auto base = upsample_bilinear(coarse);
-      if (mesh) mesh->image({coarse.data_ptr<float>(), h, w}, base.data_ptr<float>());
-      input.add(coarse, all);
-      detail.add(local_detail(coarse), all);
-      output.add(fine - base, mask);
-      if (local) {
-        const auto frame = local_frame(coarse, minimum, range, rest);
-        features.add(frame.features, all);
-        local_output.add(to_local((fine - base) * range, upsample_bilinear(frame.axes)), mask);
-      }
-    }
-  }
-  Conditioning result;
-  result.input_mean = input.mean(), result.input_deviation = input.deviation();
-  result.detail_deviation = detail.deviation();
-  result.output_deviation = output.deviation();
-  if (local) {
-    result.local_mean = features.mean(), result.local_deviation = features.deviation();
-    result.local_output = local_output.deviation();
-  }
-  return result;
-}
 
 class Trainer {
  public:
@@ -173,8 +50,15 @@ class Trainer {
         config_json_(pleat::superres::to_json(config)),
         checkpoint_(config.output + "/checkpoint.pt"),
         log_(config.output + "/log.csv"),
-        bundle_(config.output + "/" + config.name + ".pt") {
-    at::set_num_threads(config.threads > 0 ? config.threads : static_cast<int>(available_processors()));
+        bundle_(config.output + "/" + config.name + ".pt"),
+        communicator_(hooks.rank, hooks.processes, hooks.rendezvous, device_) {
+    if (hooks.processes > config.batch) {
+      throw_invalid_argument("key 'batch' = " + std::to_string(config.batch) + ": " + std::to_string(hooks.processes) +
+                             " processes need as many windows a step");
+    }
+    const int processors = std::max(1, static_cast<int>(available_processors()) / hooks.processes);
+    at::set_num_threads(config.threads > 0 ? config.threads : processors);
+    micro_batch_ = config.micro_batch > 0 ? std::min(config.micro_batch, config.batch) : config.batch;
     type_ = config.precision == "bfloat16" ? torch::kBFloat16 : torch::kFloat32;
   }
 
@@ -183,7 +67,7 @@ class Trainer {
     std::filesystem::create_directories(config_.output, error);
     if (error)
       throw Error(ErrorCode::kResourceExhausted, config_.output + ": can't make the folder: " + error.message());
-    const Conditioning conditioning = measure(data_, config_.architecture);
+    const Conditioning conditioning = measure_conditioning(data_, config_.architecture);
     for (Network* network : {&network_, &averaged_}) {
       network->set_conditioning(conditioning);
       network->set_mesh_base(data_.mesh_base, data_.normalization, data_.coarse_height(), data_.coarse_width());
@@ -199,11 +83,12 @@ class Trainer {
       for (std::size_t i = 0; i < adam.parameters.size(); ++i) adam.average[i] = adam.parameters[i].detach().clone();
       say("weights begin as those of " + config_.initial);
     }
-    cut_log(log_, state_.epoch);
+    history_ = read_log(log_, state_.epoch);
+    if (first()) write_log(log_, history_);
     set_constants(conditioning);
     result_.best = report_from_json(state_.best_report);
     if (state_.best_epoch >= 0) result_.bundle = bundle_;
-    measure_baseline();
+    if (first()) measure_baseline();
     say("network of " + std::to_string(network_.parameter_count()) + " parameters, " +
         std::to_string(sampler_.steps_per_epoch()) + " steps an epoch, on " + device_.str());
 
@@ -234,11 +119,12 @@ class Trainer {
     if (config_.device == "cuda" && !available) {
       throw Error(ErrorCode::kFailedPrecondition, "key 'device' = 'cuda': LibTorch sees no CUDA device");
     }
-    return available && config_.device != "cpu" ? torch::Device(torch::kCUDA, 0) : torch::Device(torch::kCPU);
+    if (!available || config_.device == "cpu") return {torch::kCPU};
+    return {torch::kCUDA, static_cast<c10::DeviceIndex>(hooks_.rank % static_cast<int>(torch::cuda::device_count()))};
   }
 
   void say(const std::string& text) const {
-    if (hooks_.line) hooks_.line(text);
+    if (hooks_.line && first()) hooks_.line(text);
   }
 
   double minutes() const {
@@ -265,7 +151,7 @@ class Trainer {
     } else if (s.kind == "cosine") {
       const double all = static_cast<double>(config_.epochs) * sampler_.steps_per_epoch();
       double done = static_cast<double>(step) / all;
-      if (s.progress == "minutes") done = std::max(done, minutes() / config_.max_minutes);
+      if (s.progress == "minutes") done = std::max(done, shared_minutes_ / config_.max_minutes);
       const double wave = 0.5 * (1 + std::cos(3.14159265358979323846 * std::clamp(done, 0.0, 1.0)));
       rate *= s.final_factor + (1 - s.final_factor) * wave;
     }
@@ -273,27 +159,88 @@ class Trainer {
     return rate;
   }
 
+  bool first() const { return communicator_.rank() == 0; }
   bool out_of_time() const { return config_.max_minutes > 0 && minutes() >= config_.max_minutes; }
   bool stopped() const { return hooks_.stop != nullptr && hooks_.stop->load(); }
+
+  /// Losses of this process's windows, weighted by their share of the step's valid texels; gradients are added up.
+  void accumulate(int begin, int end, double texels, torch::Tensor& values) {
+    Batch batch = sampler_.batch(state_.epoch, state_.step, begin, end);
+    const double share = batch.mask.sum().item<double>() / texels;
+    for (auto* t : {&batch.coarse, &batch.fine, &batch.mask, &batch.rotations}) *t = t->to(device_);
+    if (batch.base.defined()) batch.base = batch.base.to(device_), batch.structure = batch.structure.to(device_);
+    const auto synthesized = batch.base.defined() ? network_.forward(batch.coarse, batch.base, batch.structure, type_)
+                                                  : network_.forward(batch.coarse, type_);
+    const Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
+    const auto parts =
+        torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity, losses.kinematic})
+            .detach()
+            .to(torch::kCPU, torch::kFloat64);
+    values.slice(0, 0, 5) += share * parts;
+    (losses.total * share).backward();
+  }
+
+  /// All windows of a step that belong to this process. Returns the shared values before they are summed.
+  torch::Tensor gradients() {
+    const int windows = config_.batch, rank = communicator_.rank(), size = communicator_.size();
+    const int begin = windows * rank / size, end = windows * (rank + 1) / size;
+    const double texels = sampler_.valid_texels(state_.epoch, state_.step);
+    for (;;) {
+      auto values = torch::zeros({kShared}, torch::kFloat64);
+      try {
+        for (int w = begin; w < end; w += micro_batch_) accumulate(w, std::min(w + micro_batch_, end), texels, values);
+        return values;
+      } catch (const Error&) {
+        throw;
+      } catch (const std::exception& error) {
+        if (!out_of_memory(error)) throw;
+        if (micro_batch_ == 1) {
+          throw Error(ErrorCode::kResourceExhausted, "the device has too little memory for one window of a step");
+        }
+      }
+      // Not in the handler: the exception may hold what has to be freed.
+      for (const auto& [name, parameter] : network_.parameters()) parameter.mutable_grad() = torch::Tensor();
+      micro_batch_ = std::min(micro_batch_, end - begin) / 2;
+      say("out of memory: passes take " + std::to_string(micro_batch_) + " windows from now on");
+    }
+  }
+
+  void sum_gradients(const Adam& adam) {
+    if (communicator_.size() == 1) return;
+    std::vector<torch::Tensor> parts;
+    for (const auto& p : adam.parameters)
+      parts.push_back(p.grad().defined() ? p.grad().flatten() : torch::zeros_like(p).flatten());
+    const auto all = torch::cat(parts);
+    communicator_.sum(all);
+    std::int64_t place = 0;
+    for (const auto& p : adam.parameters) {
+      p.mutable_grad() = all.slice(0, place, place + p.numel()).view(p.sizes());
+      place += p.numel();
+    }
+  }
 
   /// False if the training has to end before the epoch does.
   bool train_epoch(Adam& adam) {
     const int steps = sampler_.steps_per_epoch();
     while (state_.step < steps) {
-      if (stopped() || out_of_time()) {
+      if (communicator_.size() == 1) {
+        stop_ = stopped() || out_of_time();
+        shared_minutes_ = minutes();
+      }
+      if (stop_) {
         result_.reason = stopped() ? StopReason::kStopped : StopReason::kMinutes;
         return false;
       }
-      Batch batch = sampler_.batch(state_.epoch, state_.step);
-      for (auto* t : {&batch.coarse, &batch.fine, &batch.mask, &batch.rotations}) *t = t->to(device_);
-      if (batch.base.defined()) batch.base = batch.base.to(device_), batch.structure = batch.structure.to(device_);
-      const auto synthesized = batch.base.defined() ? network_.forward(batch.coarse, batch.base, batch.structure, type_)
-                                                    : network_.forward(batch.coarse, type_);
-      const Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
-      const auto values =
-          torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity, losses.kinematic})
-              .detach()
-              .to(torch::kCPU, torch::kFloat64);
+      auto values = gradients();
+      if (communicator_.size() > 1) {
+        if (first()) {
+          values[kStop] = stopped() || out_of_time() ? 1.0 : 0.0;
+          values[kMinutes] = minutes();
+        }
+        communicator_.sum(values);
+        stop_ = values[kStop].item<double>() > 0;
+        shared_minutes_ = values[kMinutes].item<double>();
+      }
       const double* v = values.data_ptr<double>();
       if (!std::isfinite(v[0])) {
         throw Error(ErrorCode::kInternal, "loss is not finite at epoch " + std::to_string(state_.epoch + 1) +
@@ -301,12 +248,12 @@ class Trainer {
                                               "; windows (sequence:frame) " +
                                               sampler_.describe(state_.epoch, state_.step));
       }
-      losses.total.backward();
+      sum_gradients(adam);
       rate_ = learning_rate(adam.steps);
       adam.step(rate_);
       for (int i = 0; i < 5; ++i) state_.sums[i] += v[i];
       ++state_.step;
-      if (hooks_.progress) hooks_.progress(state_.epoch + 1, static_cast<double>(state_.step) / steps, v[0]);
+      if (hooks_.progress && first()) hooks_.progress(state_.epoch + 1, static_cast<double>(state_.step) / steps, v[0]);
       if (config_.checkpoint_minutes > 0 && state_.step < steps &&
           std::chrono::duration<double>(Clock::now() - saved_).count() > 60 * config_.checkpoint_minutes) {
         save(adam);
@@ -316,6 +263,7 @@ class Trainer {
   }
 
   void save(const Adam& adam) {
+    if (!first()) return;
     TrainState state = state_;
     state.minutes = minutes();
     save_checkpoint(checkpoint_, config_json_, network_, adam, state);
@@ -323,6 +271,7 @@ class Trainer {
   }
 
   void finish_epoch(const Adam& adam, int steps) {
+    if (!first()) return;
     EpochReport report;
     report.epoch = state_.epoch + 1;
     report.steps = adam.steps;
@@ -333,15 +282,15 @@ class Trainer {
     const bool last = report.epoch == config_.epochs || steps < sampler_.steps_per_epoch();
     if (last || report.epoch % config_.validation.every_epochs == 0) validate(adam, report);
     report.minutes = minutes();
+    history_.push_back(report);
     if (report.best) {
       result_.best = report;
-      state_.best_report = to_json(report).dump();
+      state_.best_report = to_json(report);
       write_bundle(report);
     }
     result_.last = report;
-    std::ofstream log(log_, std::ios::app);
-    log << csv_row(report) << "\n";
-    if (!log.flush()) throw Error(ErrorCode::kResourceExhausted, log_ + ": can't write");
+    write_log(log_, history_);
+    write_curves();
     char text[256];
     std::snprintf(text, sizeof text, "epoch %d  %.1f min  rate %.2e  loss %.4e", report.epoch, report.minutes,
                   report.learning_rate, report.total);
@@ -352,6 +301,13 @@ class Trainer {
       line += text;
     }
     say(line);
+  }
+
+  void write_curves() const {
+    const std::string path = config_.output + "/log.html";
+    std::ofstream page(path, std::ios::trunc);
+    page << curves_page(config_.name, history_, result_.baseline);
+    if (!page.flush()) throw Error(ErrorCode::kResourceExhausted, path + ": can't write");
   }
 
   template <typename Body>
@@ -371,14 +327,17 @@ class Trainer {
     return image;
   }
 
-  /// Mean over valid texels of the squared displacement error, three channels.
-  double displacement_error(const torch::Tensor& image, std::size_t sequence, std::size_t frame) const {
+  /// Mean squared errors over valid texels and the three channels of displacement, normal and velocity.
+  torch::Tensor feature_errors(const torch::Tensor& image, std::size_t sequence, std::size_t frame) const {
     const auto& fine = data_.sequences[sequence].fine;
     const auto mask = torch::from_blob(const_cast<std::uint8_t*>(data_.fine_mask.data()),
                                        {1, 1, fine.height(), fine.width()}, torch::kUInt8)
                           .to(torch::kFloat32);
-    const auto error = (image - read(fine, frame)).slice(1, 0, 3).square() * mask;
-    return error.sum().item<double>() / (3 * mask.sum().item<double>());
+    const auto error = (image - read(fine, frame)).square() * mask;
+    return error.view({3, -1}).sum(1).to(torch::kFloat64) / (3 * mask.sum().item<double>());
+  }
+  double displacement_error(const torch::Tensor& image, std::size_t sequence, std::size_t frame) const {
+    return feature_errors(image, sequence, frame)[0].item<double>();
   }
 
   void measure_baseline() {
@@ -419,18 +378,22 @@ class Trainer {
       auto value = averaged_.buffers()[i].second;
       value.copy_(network_.buffers()[i].second);
     }
-    double image_error = 0, mesh_error = 0, count = 0;
+    auto errors = torch::zeros({3}, torch::kFloat64);
+    double mesh_error = 0, count = 0;
     for_validation_frames([&](std::size_t s, std::size_t f) {
       const auto input = read(data_.sequences[s].coarse, f).to(device_);
       const auto output = averaged_.forward(input, type_).to(torch::kCPU).contiguous();
-      image_error += displacement_error(output, s, f);
+      errors += feature_errors(output, s, f);
       if (judge_ != nullptr) {
         mesh_error += judge_->squared_error(s, f, {output.data_ptr<float>(), static_cast<std::size_t>(output.numel())});
       }
       count += 1;
     });
     report.validated = true;
+    const double image_error = errors[0].item<double>();
     report.psnr_db = decibel(image_error / count);
+    report.psnr_normal_db = decibel(errors[1].item<double>() / count);
+    report.psnr_velocity_db = decibel(errors[2].item<double>() / count);
     report.vmse_m2 = mesh_error / count;
     const double score = judge_ != nullptr ? report.vmse_m2 : image_error / count;
     if (!std::isfinite(score))
@@ -455,6 +418,13 @@ class Trainer {
     training["steps"] = report.steps;
     training["minutes"] = report.minutes;
     training["device"] = device_.str();
+    training["processes"] = communicator_.size();
+    // Convergence of the three features, as [MFSR] figure 13 shows it.
+    json curve = json::array();
+    for (const EpochReport& r : history_) {
+      if (r.validated) curve.push_back({r.epoch, r.minutes, r.psnr_db, r.psnr_normal_db, r.psnr_velocity_db});
+    }
+    training["curve"] = std::move(curve);
     m.training = training.dump();
     m.metrics = {{"psnr_db", report.psnr_db}, {"bilinear_psnr_db", result_.baseline.bilinear_psnr_db}};
     if (judge_ != nullptr) {
@@ -479,6 +449,11 @@ class Trainer {
   torch::Device device_;
   torch::ScalarType type_ = torch::kFloat32;
   std::string config_json_, checkpoint_, log_, bundle_;
+  Communicator communicator_;
+  int micro_batch_ = 1;
+  bool stop_ = false;
+  double shared_minutes_ = 0;
+  std::vector<EpochReport> history_;
   LossConstants constants_;
   TrainState state_;
   TrainResult result_;

@@ -18,8 +18,9 @@ struct EpochReport {
   double learning_rate = 0;
   double total = 0, displacement = 0, normal = 0, velocity = 0, kinematic = 0;  ///< means over the epoch
   bool validated = false;
-  double psnr_db = 0;  ///< of the normalised displacement image over valid texels, peak 1
-  double vmse_m2 = 0;  ///< mean squared vertex distance; 0 without a judge
+  double psnr_db = 0;                               ///< of the normalised displacement image over valid texels, peak 1
+  double psnr_normal_db = 0, psnr_velocity_db = 0;  ///< the same of the other features
+  double vmse_m2 = 0;                               ///< mean squared vertex distance; 0 without a judge
   bool best = false;
 };
 
@@ -34,6 +35,9 @@ struct TrainHooks {
   std::function<void(int epoch, double fraction, double loss)> progress;  ///< after each step; fraction of the epoch
   const std::atomic<bool>* stop = nullptr;                                ///< becomes true: end after this step
   std::string git_revision;                                               ///< for the bundle
+  /// Data-parallel training: this process, their number, and the file in which they meet. Only the first one writes.
+  int rank = 0, processes = 1;
+  std::string rendezvous;
 };
 
 enum class StopReason { kEpochs, kMinutes, kStopped };
@@ -47,10 +51,13 @@ struct TrainResult {
 
 /// Trains, or goes on from OUTPUT/checkpoint.pt if that exists: with the same configuration, data and machine the curve
 /// is bit for bit the one of an uninterrupted training (except with schedule.progress "minutes"). Writes OUTPUT/NAME.pt
-/// (best validated weights), OUTPUT/log.csv and OUTPUT/checkpoint.pt. judge may be null: then there is no VMSE, and the
-/// best is chosen by PSNR.
-/// Throws as Sampler and load_checkpoint; kInternal, naming epoch, step and windows, if a loss is not finite (the
-/// check-point before it stays).
+/// (best validated weights), OUTPUT/log.csv, OUTPUT/log.html and OUTPUT/checkpoint.pt. judge may be null: then there is
+/// no VMSE, and the best is chosen by PSNR. Several processes share the windows of every step and sum their gradients;
+/// the curve is that of one process but for rounding.
+/// If the device runs out of memory, passes take half as many windows from then on.
+/// Throws as Sampler, Communicator and load_checkpoint; kInternal, naming epoch, step and windows, if a loss is not
+/// finite; kResourceExhausted if a file can't be written, or one window needs too much memory. The check-point before
+/// it stays.
 TrainResult train(const TrainConfig& config, const PairData& data, MeshJudge* judge, const TrainHooks& hooks);
 
 }  // namespace pleat::superres

@@ -15,7 +15,7 @@ using test::load_garment;
 using test::wrinkled_frame;
 
 class Garments : public testing::TestWithParam<const char*> {};
-INSTANTIATE_TEST_SUITE_P(All, Garments, testing::Values("tablecloth", "skirt"));
+INSTANTIATE_TEST_SUITE_P(All, Garments, testing::ValuesIn(test::kGarments));
 
 // The slow and obvious value of one texel: search all faces for the one that holds the centre.
 struct Direct {
@@ -29,6 +29,7 @@ Direct evaluate_directly(const Topology& t, const Positions& values, double u, d
   for (Eigen::Index f = 0; f < t.face_count(); ++f) {
     Eigen::Matrix3d corners;
     for (int k = 0; k < 3; ++k) corners.col(k) << t.uv.row(t.uv_faces(f, k)).cast<double>().transpose(), 1;
+    if (std::abs(corners.determinant()) < 1e-12) continue;
     const Eigen::Vector3d weights = corners.inverse() * Eigen::Vector3d(u, v, 1);
     if (weights.minCoeff() < deepest) continue;
     deepest = weights.minCoeff();
@@ -66,7 +67,7 @@ TEST_P(Garments, SampledTexelsAreBarycentricValuesAtTheirCentres) {
       EXPECT_NEAR(image.values[c * plane + texel], direct.value(static_cast<Eigen::Index>(c)), 1e-5) << "texel " << i;
     }
   }
-  EXPECT_GT(checked, 50);
+  EXPECT_GT(checked, 20);
 }
 
 TEST(ImageMap, ACoarseTexelIsTheCentreOfItsBlock) {
@@ -109,6 +110,67 @@ TEST_P(Garments, ARigidMotionLeavesTheImage) {
   for (std::size_t i = 0; i < a.image.values.size(); ++i) {
     ASSERT_NEAR(a.image.values[i], b.image.values[i], 2e-5) << i;
   }
+}
+
+TEST_P(Garments, ARigidMotionLeavesTheFineImage) {
+  const Garment garment = load_garment(GetParam());
+  const ImageMap map(garment.coarse, garment.fine());
+  Frame coarse = wrinkled_frame(garment.coarse, 0.2f), fine = wrinkled_frame(garment.fine(), 0.2f);
+  const Tensor still = map.fine_image(fine, map.align(coarse.positions));
+  coarse.positions = test::moved(coarse.positions, test::some_motion());
+  fine.positions = test::moved(fine.positions, test::some_motion());
+  fine.velocities = fine.velocities * test::some_motion().rotation.transpose();
+  const Tensor moved = map.fine_image(fine, map.align(coarse.positions));
+  const std::size_t plane = still.values.size() / 9;
+  for (std::size_t i = 0; i < still.values.size(); ++i) {
+    // The normal of a face that is hardly one turns with every rounding.
+    const bool normal = i / plane >= kNormalChannel && i / plane < kVelocityChannel;
+    if (normal && GetParam() == std::string("degenerate faces")) continue;
+    ASSERT_NEAR(still.values[i], moved.values[i], 3e-3) << i;
+  }
+}
+
+TEST_P(Garments, BackwardsInTimeTheVelocityTurns) {
+  const Garment garment = load_garment(GetParam());
+  const ImageMap map(garment.coarse, garment.fine());
+  Frame forwards = wrinkled_frame(garment.coarse, 0.4f), backwards = forwards;
+  const Positions earlier = wrinkled_frame(garment.coarse, 0.36f).positions;
+  forwards.velocities = (forwards.positions - earlier) / 0.04f;
+  backwards.velocities = (earlier - backwards.positions) / 0.04f;
+  const Tensor a = map.coarse_image(forwards).image, b = map.coarse_image(backwards).image;
+  const std::size_t velocity = a.values.size() / 9 * kVelocityChannel;
+  bool any = false;
+  for (std::size_t i = 0; i < a.values.size(); ++i) {
+    ASSERT_EQ(b.values[i], i < velocity ? a.values[i] : -a.values[i]) << i;
+    any = any || (i >= velocity && std::abs(a.values[i]) > 0.01f);
+  }
+  EXPECT_TRUE(any);
+}
+
+// Normalised coordinates lose the scale and, with two factors, the aspect: both come back from the rest mesh.
+TEST_P(Garments, NormalisedCoordinatesGiveTheSameImages) {
+  const Garment metres = load_garment(GetParam());
+  Garment normalised = metres;
+  const Eigen::RowVector2f low = metres.coarse.uv.colwise().minCoeff();
+  const Eigen::RowVector2f extent = metres.coarse.uv.colwise().maxCoeff() - low;
+  for (Uv* uv : {&normalised.coarse.uv, &normalised.subdivision.fine.uv}) {
+    *uv = (uv->rowwise() - low).array().rowwise() / extent.array();
+  }
+  const ImageMap a(metres.coarse, metres.fine()), b(normalised.coarse, normalised.fine());
+  EXPECT_EQ(a.material_scale(), Eigen::Vector2d(1, 1));
+  for (int k = 0; k < 2; ++k) EXPECT_NEAR(b.material_scale()[k] / static_cast<double>(extent[k]), 1, 0.1);
+  // The recovered lengths are those of the rest mesh, which may differ a little from the pattern's.
+  EXPECT_LE(std::abs(a.fine_width() - b.fine_width()), 16);
+  EXPECT_LE(std::abs(a.fine_height() - b.fine_height()), 16);
+  ImageSpec same;
+  same.coarse_width = a.coarse_width();
+  same.coarse_height = a.coarse_height();
+  const ImageMap c(normalised.coarse, normalised.fine(), same);
+  const Frame frame = wrinkled_frame(metres.coarse, 0.3f);
+  const Tensor x = a.coarse_image(frame).image, y = c.coarse_image(frame).image;
+  std::size_t different = 0;
+  for (std::size_t i = 0; i < x.values.size(); ++i) different += std::abs(x.values[i] - y.values[i]) > 1e-4f;
+  EXPECT_LT(different, x.values.size() / 50);  // centres on an edge may fall into the other face, or out of the chart
 }
 
 TEST_P(Garments, PaddingShowsTheNearestValidTexel) {
@@ -190,8 +252,9 @@ TEST(ImageMapInput, BadTopologiesAreRefused) {
     t.uv.resize(0, 2);
     t.uv_faces.resize(0, 3);
   });
-  expect_refused([](Topology& t) { t.uv.row(3) << 0.9f, 0.1f; });  // folded
-  expect_refused([](Topology& t) { t.uv.row(2) << 2, 0; });        // no area
+  expect_refused([](Topology& t) { t.uv.row(3) << 0.9f, 0.1f; });      // folded
+  expect_refused([](Topology& t) { t.uv.col(1) = 2 * t.uv.col(0); });  // no face has area
+  expect_refused([](Topology& t) { t = test::moebius_strip(true); });  // not orientable
   expect_refused([](Topology& t) { t.uv(1, 1) = std::numeric_limits<float>::infinity(); });
   expect_refused([](Topology& t) { t.uv_faces(0, 0) = 17; });
   expect_refused([](Topology& t) { t.rest_positions(0, 0) = std::numeric_limits<float>::quiet_NaN(); });

@@ -112,6 +112,28 @@ TEST_F(ConversionServer, ImagesAreThoseOfTheLibraryAndNormalised) {
   EXPECT_FALSE(stream->pop(&response));
 }
 
+TEST_F(ConversionServer, BothDirectionsShareTheMaps) {
+  image_stream()->open(image_open());
+  EXPECT_EQ(metrics_.text().find("pleat_cached_maps_total"), std::string::npos);
+  mesh_stream()->open(mesh_open());
+  image_stream()->open(image_open());
+  EXPECT_NE(metrics_.text().find("pleat_cached_maps_total{service=\"conversion\"} 2"), std::string::npos)
+      << metrics_.text();
+  setup_.set_coarse_width(30);
+  setup_.set_coarse_height(20);
+  EXPECT_EQ(image_stream()->open(image_open()).fine_width(), 120u);
+}
+
+// Any fine mesh over the same material serves: here one that is not the coarse one subdivided.
+TEST_F(ConversionServer, AFineMeshOfItsOwn) {
+  const Topology fine = test::other_sheet(garment_.coarse, 37, 29);
+  *setup_.mutable_fine() = to_message(fine);
+  const auto stream = mesh_stream();
+  const auto opened = stream->open(mesh_open());
+  EXPECT_EQ(opened.fine().hash(), topology_hash(fine));
+  EXPECT_EQ(opened.feature_vertices_size(), 0);
+}
+
 TEST_F(ConversionServer, AFittedImageComesBackAsTheMesh) {
   const ImageMap map(garment_.coarse, garment_.fine());
   const Frame coarse = test::wrinkled_frame(garment_.coarse, 0.4f), fine = test::wrinkled_frame(garment_.fine(), 0.4f);

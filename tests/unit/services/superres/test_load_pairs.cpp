@@ -11,6 +11,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/superres/training/pairs.hpp"
+#include "tests/unit/services/superres/example_dataset.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -18,88 +19,15 @@ namespace {
 namespace fs = std::filesystem;
 using testing::HasSubstr;
 
-constexpr int kFrames = 7;
-
-/// A flat sheet of columns x rows quads, each cut in two, 0.1 m wide.
-Topology sheet(int columns, int rows) {
-  Topology mesh;
-  const int stride = columns + 1;
-  mesh.rest_positions.resize(stride * (rows + 1), 3);
-  mesh.uv.resize(stride * (rows + 1), 2);
-  for (int r = 0; r <= rows; ++r) {
-    for (int c = 0; c <= columns; ++c) {
-      mesh.rest_positions.row(r * stride + c) << 0.1F * static_cast<float>(c), 0.0F, -0.1F * static_cast<float>(r);
-      mesh.uv.row(r * stride + c) << 0.1F * static_cast<float>(c), 0.1F * static_cast<float>(r);
-    }
-  }
-  mesh.faces.resize(2 * columns * rows, 3);
-  for (int r = 0; r < rows; ++r) {
-    for (int c = 0; c < columns; ++c) {
-      const auto i = static_cast<std::uint32_t>(r * stride + c);
-      const auto s = static_cast<std::uint32_t>(stride);
-      mesh.faces.row(2 * (r * columns + c)) << i, i + 1, i + s + 1;
-      mesh.faces.row(2 * (r * columns + c) + 1) << i, i + s + 1, i + s;
-    }
-  }
-  mesh.uv_faces = mesh.faces;
-  return mesh;
-}
-
-Positions wave(const Positions& rest, int frame, int sequence, bool detail) {
-  Positions result = rest;
-  for (Eigen::Index i = 0; i < rest.rows(); ++i) {
-    const float x = rest(i, 0), z = rest(i, 2), t = static_cast<float>(frame) * 0.2F + static_cast<float>(sequence);
-    result(i, 1) += 0.1F * std::sin(5 * x + t) + 0.05F * std::cos(4 * z - t);
-    result(i, 0) += 0.02F * t;
-    if (detail) result(i, 1) += 0.01F * std::sin(25 * x + t);
-  }
-  return result;
-}
-
 class LoadPairs : public testing::Test {
  protected:
   void SetUp() override {
     const auto* info = testing::UnitTest::GetInstance()->current_test_info();
     folder_ = fs::temp_directory_path() / (std::string("pleat_pairs_") + info->name() + std::to_string(::getpid()));
-    const Topology coarse = sheet(8, 6);
-    const Subdivision subdivision = subdivide(coarse, 2);
-    master_.time_step_s = 0.005;
-    master_.frame_time_s = 0.04;
-    master_.topology = {coarse, subdivision.fine, subdivision.feature_vertices};
-    master_.sequences = {"a", "b"};
   }
   void TearDown() override { fs::remove_all(folder_); }
 
-  void write(bool normalized) {
-    if (normalized) {
-      master_.normalization.emplace();
-      for (std::size_t c = 0; c < 9; ++c) {
-        const float reach = c < 3 ? 0.5F : c < 6 ? 1.0F : 2.0F;
-        master_.normalization->minimum[c] = -reach;
-        master_.normalization->maximum[c] = reach;
-      }
-    }
-    write_dataset_master(folder_, master_);
-    for (int s = 0; s < 2; ++s) {
-      SequenceOptions options;
-      options.name = master_.sequences[static_cast<std::size_t>(s)];
-      options.split = s == 0 ? "train" : "test";
-      options.scene = "{}";
-      options.frames = kFrames;
-      options.coarse_vertices = master_.topology.coarse.vertex_count();
-      options.fine_vertices = master_.topology.fine.vertex_count();
-      options.topology_hash = topology_hash(master_.topology.fine);
-      SequenceWriter writer(folder_, options);
-      for (int f = 0; f < kFrames; ++f) {
-        SequenceFrame frame;
-        frame.time_s = 0.04 * f;
-        frame.coarse = wave(master_.topology.coarse.rest_positions, f, s, false);
-        frame.fine = wave(master_.topology.fine.rest_positions, f, s, true);
-        writer.append(frame);
-      }
-      writer.finish();
-    }
-  }
+  void write(bool normalized) const { write_example_dataset(folder_, master_, normalized); }
 
   TrainConfig config() const {
     TrainConfig c;
@@ -112,7 +40,7 @@ class LoadPairs : public testing::Test {
   }
 
   fs::path folder_;
-  DatasetMaster master_;
+  const DatasetMaster master_ = example_master();
 };
 
 void quiet(const std::string&) {}
@@ -202,6 +130,83 @@ TEST_F(LoadPairs, MemoryLimitIsCheckedFirst) {
     EXPECT_EQ(error.code(), ErrorCode::kResourceExhausted);
     EXPECT_THAT(error.what(), HasSubstr("cache_limit_mb"));
   }
+}
+
+TEST_F(LoadPairs, UnusableSequencesAreSkippedAndNamed) {
+  write(true);
+  DatasetMaster master = master_;
+  master.normalization = example_range();
+  master.sequences = {"a", "b", "cut", "half"};
+  write_dataset_master(folder_, master);
+  write_sequence(folder_, master, "cut", "train", 2);
+  write_sequence(folder_, master, "half", "train", 3, kFrames / 2);
+  const fs::path cut = folder_ / "sequences" / "cut.h5";
+  fs::resize_file(cut, fs::file_size(cut) / 2);
+  std::string said;
+  const auto collect = [&](const std::string& line) { said += line + "\n"; };
+  const LoadedPairs loaded = load_pairs(config(), collect);
+  EXPECT_EQ(loaded.data.sequences.size(), 2U);
+  EXPECT_THAT(said, HasSubstr("warning: skipped: sequence cut"));
+  EXPECT_THAT(said, HasSubstr("warning: skipped: sequence half: 3 of 7 frames"));
+  TrainConfig strict = config();
+  strict.strict = true;
+  try {
+    load_pairs(strict, quiet);
+    FAIL() << "accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kDataLoss);
+    EXPECT_THAT(error.what(), HasSubstr("sequence cut"));
+  }
+}
+
+TEST_F(LoadPairs, AnotherMeshOrNothingToTrainOnIsRefused) {
+  write(true);
+  DatasetMaster other = master_;
+  other.topology.fine.rest_positions(3, 1) += 0.1F;
+  write_sequence(folder_, other, "a", "train", 0);
+  EXPECT_THROW(load_pairs(config(), quiet), Error);
+  fs::remove_all(folder_);
+  DatasetMaster untrained = master_;
+  untrained.sequences = {"b"};
+  write_dataset_master(folder_, untrained);
+  write_sequence(folder_, untrained, "b", "test", 1);
+  try {
+    load_pairs(config(), quiet);
+    FAIL() << "accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
+    EXPECT_THAT(error.what(), HasSubstr("split 'train'"));
+  }
+}
+
+TEST_F(LoadPairs, ImagesAreConvertedOnceAndDamagedFilesAgain) {
+  write(true);
+  const auto read_fine = [](const LoadedPairs& loaded) {
+    std::vector<float> fine(9 * 48 * 36);
+    loaded.data.sequences[0].fine.read(4, 0, 0, 36, 48, fine.data());
+    return fine;
+  };
+  const std::vector<float> first = read_fine(load_pairs(config(), quiet));
+  std::string said;
+  const auto collect = [&](const std::string& line) { said += line + "\n"; };
+  EXPECT_EQ(read_fine(load_pairs(config(), collect)), first);
+  EXPECT_THAT(said, HasSubstr("7 frames from"));
+  EXPECT_THAT(said, testing::Not(HasSubstr("converted")));
+
+  for (const auto& file : fs::directory_iterator(folder_ / "images")) {
+    fs::resize_file(file.path(), fs::file_size(file.path()) - 1);
+  }
+  said.clear();
+  EXPECT_EQ(read_fine(load_pairs(config(), collect)), first);
+  EXPECT_THAT(said, HasSubstr("converted"));
+
+  // Another kind of image has files of its own.
+  TrainConfig exact = config();
+  exact.cache = "float32";
+  exact.cache_folder = (folder_ / "elsewhere").string();
+  const std::vector<float> values = read_fine(load_pairs(exact, quiet));
+  EXPECT_NE(values, first);
+  for (std::size_t i = 0; i < values.size(); ++i) ASSERT_NEAR(values[i], first[i], 1.6e-5);
 }
 
 TEST_F(LoadPairs, AbsentDataSetIsNamed) {

@@ -2,7 +2,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <unistd.h>
+
 #include <cstdlib>
+#include <filesystem>
+#include <fstream>
 
 #include "common/base/error.hpp"
 #include "services/superres/training/config.hpp"
@@ -10,6 +14,7 @@
 namespace pleat::superres {
 namespace {
 
+namespace fs = std::filesystem;
 using testing::HasSubstr;
 
 std::string with(const std::string& more) {
@@ -78,11 +83,64 @@ TEST(TrainConfig, ResumptionMayChangeLimitsOnly) {
   EXPECT_EQ(first_difference(json(""), json(R"("optimizer": {"beta1": 0.5})")), "optimizer/beta1");
 }
 
-TEST(TrainConfig, ShippedConfigurationIsValid) {
+TEST(TrainConfig, ShippedConfigurationsAreValid) {
   const char* root = std::getenv("PLEAT_SOURCE_DIR");
   ASSERT_NE(root, nullptr);
-  const TrainConfig c = read_train_config(std::string(root) + "/deploy/models/draping.train.json");
-  EXPECT_EQ(c.name, "draping");
+  int count = 0;
+  for (const auto& file : fs::directory_iterator(fs::path(root) / "deploy/models")) {
+    const std::string name = file.path().filename().string(), ending = ".train.json";
+    if (!name.ends_with(ending)) continue;
+    const TrainConfig c = read_train_config(file.path().string());
+    EXPECT_EQ(c.name + ending, name);
+    EXPECT_EQ(c.output, "out/train/" + c.name);
+    ++count;
+  }
+  EXPECT_GE(count, 10);
+}
+
+class TrainConfigFiles : public testing::Test {
+ protected:
+  void SetUp() override { fs::create_directories(folder_); }
+  void TearDown() override { fs::remove_all(folder_); }
+  std::string write(const std::string& name, const std::string& text) const {
+    std::ofstream(folder_ / name) << text;
+    return (folder_ / name).string();
+  }
+  static std::string error_reading(const std::string& path, const std::vector<std::string>& changes = {}) {
+    try {
+      read_train_config(path, changes);
+    } catch (const Error& error) {
+      return error.what();
+    }
+    return "no error";
+  }
+  const fs::path folder_ = fs::temp_directory_path() / ("pleat_config_" + std::to_string(::getpid()));
+};
+
+TEST_F(TrainConfigFiles, BuildOnABase) {
+  write("base.json", with(R"("batch": 3, "optimizer": {"clip": 2, "beta1": 0.5})"));
+  const TrainConfig c =
+      read_train_config(write("own.json", R"({"base": "base.json", "name": "own", "optimizer": {"clip": 4}})"));
+  EXPECT_EQ(c.name, "own");
+  EXPECT_EQ(c.dataset, "d");
+  EXPECT_EQ(c.batch, 3);
+  EXPECT_DOUBLE_EQ(c.optimizer.clip, 4);
+  EXPECT_DOUBLE_EQ(c.optimizer.beta1, 0.5);
+  EXPECT_THAT(error_reading(write("round.json", R"({"base": "round.json"})")), HasSubstr("circle"));
+  EXPECT_THAT(error_reading(write("lost.json", R"({"base": "nowhere.json"})")), HasSubstr("nowhere.json"));
+  EXPECT_THAT(error_reading(write("bad.json", R"({"base": 3})")), HasSubstr("'base'"));
+}
+
+TEST_F(TrainConfigFiles, ChangesComeLast) {
+  const std::string path = write("own.json", with(R"("batch": 3, "losses": {"normal": 0.5})"));
+  const TrainConfig c = read_train_config(path, {"losses.normal=0", "output=out/x=y", "mirror=true", "batch=5"});
+  EXPECT_DOUBLE_EQ(c.losses.normal, 0);
+  EXPECT_EQ(c.output, "out/x=y");
+  EXPECT_TRUE(c.mirror);
+  EXPECT_EQ(c.batch, 5);
+  EXPECT_THAT(error_reading(path, {"losses.norm=0"}), HasSubstr("'losses.norm'"));
+  EXPECT_THAT(error_reading(path, {"batch"}), HasSubstr("--set batch"));
+  EXPECT_THAT(error_reading(path, {"batch=many"}), HasSubstr("wrong type"));
 }
 
 }  // namespace

@@ -6,12 +6,14 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
 #include "services/superres/engine.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/sampler.hpp"
 #include "services/superres/training/trainer.hpp"
+#include "tests/unit/services/superres/example_network.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -160,7 +162,7 @@ TEST_F(TrainerTest, ResumedTrainingHasTheSameCurve) {
   EXPECT_EQ(train(parts, data, nullptr, hooks).reason, StopReason::kStopped);
   EXPECT_EQ(rows(parts.output + "/log.csv").size(), 2U);
   // What a kill in the third epoch would leave behind: rows that the check-point does not know.
-  std::ofstream(parts.output + "/log.csv", std::ios::app) << "3,18,0,0,0,0,0,0,0,0,0,0,0\n";
+  std::ofstream(parts.output + "/log.csv", std::ios::app) << "3,18,0,0,0,0,0,0,0,0,0,0,0,0,0\n4,2";
   const TrainResult result = train(parts, data, nullptr, {});
   EXPECT_EQ(result.reason, StopReason::kEpochs);
   EXPECT_EQ(rows(parts.output + "/log.csv"), rows(whole.output + "/log.csv"));
@@ -225,6 +227,61 @@ TEST_F(TrainerTest, NonFiniteLossNamesTheBatch) {
   } catch (const Error& error) {
     EXPECT_THAT(error.what(), HasSubstr("not finite"));
     EXPECT_THAT(error.what(), HasSubstr("wave0:"));
+  }
+}
+
+TEST_F(TrainerTest, PassesOfFewerWindowsAddUpToTheSameStep) {
+  PairData data = waves(2, 8);
+  // Patches with different numbers of valid texels: their shares have to count.
+  for (std::size_t i = 0; i < data.fine_mask.size() / 3; ++i) data.fine_mask[i] = 0;
+  TrainConfig whole = config("whole");
+  whole.batch = 5;
+  TrainConfig parts = config("parts");
+  parts.batch = 5;
+  parts.micro_batch = 2;
+  const TrainResult a = train(whole, data, nullptr, {}), b = train(parts, data, nullptr, {});
+  EXPECT_NEAR(b.last.total, a.last.total, 1e-4 * a.last.total);
+  EXPECT_NEAR(b.last.kinematic, a.last.kinematic, 1e-3 * a.last.kinematic);
+  EXPECT_NEAR(b.last.psnr_db, a.last.psnr_db, 0.01);
+}
+
+TEST_F(TrainerTest, CurvesAreInTheLogThePageAndTheBundle) {
+  const PairData data = waves(2, 6);
+  TrainConfig c = config();
+  c.name = "a-wave";
+  const TrainResult result = train(c, data, nullptr, {});
+  EXPECT_GT(result.last.psnr_normal_db, 20);
+  EXPECT_GT(result.last.psnr_velocity_db, 20);
+  std::ifstream file(c.output + "/log.html");
+  const std::string page((std::istreambuf_iterator<char>(file)), {});
+  EXPECT_THAT(page, HasSubstr("Training of a-wave"));
+  EXPECT_THAT(page, HasSubstr("<path class=\"line\""));
+  EXPECT_THAT(page, testing::Not(HasSubstr("http")));  // nothing comes from elsewhere
+  const Metadata metadata = read_metadata(c.output, "a-wave");
+  const std::size_t rows = result.best.epoch > 0 ? static_cast<std::size_t>(result.best.epoch) : 0;
+  const nlohmann::json curve = nlohmann::json::parse(metadata.training).at("curve");
+  ASSERT_EQ(curve.size(), rows);
+  EXPECT_NEAR(curve.back().at(2).get<double>(), result.best.psnr_db, 1e-9);
+}
+
+TEST_F(TrainerTest, EveryRegisteredNetworkLearns) {
+  PairData data = waves(2, 6);
+  data.mesh_base = example_base(kHeight, kWidth);
+  for (const std::string& kind : architecture_kinds()) {
+    TrainConfig c = config(kind);
+    c.architecture = small("subpixel", "none", false, "aligned", kind);
+    c.patch = 0;
+    c.losses.kinematic = 0;
+    c.schedule.kind = "constant";
+    c.optimizer.learning_rate = 2e-3;
+    c.optimizer.average = 0;
+    c.epochs = 12;
+    double first = 0;
+    TrainHooks hooks;
+    hooks.progress = [&](int, double, double loss) { first = first > 0 ? first : loss; };
+    const TrainResult result = train(c, data, nullptr, hooks);
+    EXPECT_LT(result.last.total, 0.5 * first) << kind;
+    EXPECT_EQ(read_metadata(c.output, "waves").architecture.kind, kind);
   }
 }
 

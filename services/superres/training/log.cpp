@@ -1,0 +1,241 @@
+#include "services/superres/training/log.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "common/base/error.hpp"
+
+namespace pleat::superres {
+namespace {
+
+using nlohmann::json;
+
+constexpr const char* kHeader =
+    "epoch,steps,minutes,learning_rate,total,displacement,normal,velocity,kinematic,psnr_db,psnr_normal_db,"
+    "psnr_velocity_db,vmse_m2,rmse_m,best";
+constexpr int kColumns = 15;
+
+std::string csv_row(const EpochReport& r) {
+  char row[512];
+  std::snprintf(row, sizeof row, "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.6f,%.6f,%.9g,%.9g,%d", r.epoch,
+                static_cast<long long>(r.steps), r.minutes, r.learning_rate, r.total, r.displacement, r.normal,
+                r.velocity, r.kinematic, r.psnr_db, r.psnr_normal_db, r.psnr_velocity_db, r.vmse_m2,
+                std::sqrt(r.vmse_m2), r.best ? 1 : 0);
+  return row;
+}
+
+/// One line of a chart; a value that is not finite leaves a gap.
+struct Line {
+  std::string name, color;
+  std::vector<double> values;
+};
+
+struct Chart {
+  std::string title, unit;
+  bool logarithmic;
+  std::vector<Line> lines;
+};
+
+constexpr double kWidth = 640, kHeight = 240, kLeft = 70, kRight = 20, kTop = 12, kBottom = 30;
+
+/// About four round values between low and high.
+std::vector<double> ticks(double low, double high, bool logarithmic) {
+  std::vector<double> result;
+  if (logarithmic) {
+    const double step = std::max(1.0, std::ceil((high - low) / 5));
+    for (double v = std::ceil(low); v <= high; v += step) result.push_back(v);
+    if (result.size() >= 2) return result;
+    result.clear();
+  }
+  const double raw = (high - low) / 4, power = std::pow(10, std::floor(std::log10(raw)));
+  const double step = power * (raw / power < 1.5 ? 1 : raw / power < 3.5 ? 2 : raw / power < 7.5 ? 5 : 10);
+  for (double v = std::ceil(low / step) * step; v <= high + 1e-9 * step; v += step) result.push_back(v);
+  return result;
+}
+
+void draw(std::ostringstream& out, const Chart& chart, const std::vector<EpochReport>& reports) {
+  double low = std::numeric_limits<double>::infinity(), high = -low;
+  const auto place = [&](double v) { return chart.logarithmic ? std::log10(v) : v; };
+  for (const Line& line : chart.lines) {
+    for (const double v : line.values) {
+      if (!std::isfinite(v) || (chart.logarithmic && v <= 0)) continue;
+      low = std::min(low, place(v)), high = std::max(high, place(v));
+    }
+  }
+  out << "<h2>" << chart.title << "</h2>\n";
+  if (!(low <= high)) {
+    out << "<p>No values yet.</p>\n";
+    return;
+  }
+  const double margin = high > low ? 0.05 * (high - low) : std::max(1e-12, 0.1 * std::abs(high));
+  low -= margin, high += margin;
+  const double last = std::max(2, reports.back().epoch);
+  const auto x = [&](double epoch) { return kLeft + (epoch - 1) / (last - 1) * (kWidth - kLeft - kRight); };
+  const auto y = [&](double v) { return kTop + (high - v) / (high - low) * (kHeight - kTop - kBottom); };
+  char text[256];
+  out << "<svg viewBox=\"0 0 " << kWidth << " " << kHeight << "\" role=\"img\" aria-label=\"" << chart.title << "\">\n";
+  for (const double tick : ticks(low, high, chart.logarithmic)) {
+    std::snprintf(text, sizeof text,
+                  "<line class=\"grid\" x1=\"%g\" y1=\"%.1f\" x2=\"%g\" y2=\"%.1f\"/>"
+                  "<text x=\"%g\" y=\"%.1f\" text-anchor=\"end\">%.4g</text>\n",
+                  kLeft, y(tick), kWidth - kRight, y(tick), kLeft - 6, y(tick) + 4,
+                  chart.logarithmic ? std::pow(10, tick) : tick);
+    out << text;
+  }
+  for (const double tick : ticks(1, last, false)) {
+    std::snprintf(text, sizeof text, "<text x=\"%.1f\" y=\"%g\" text-anchor=\"middle\">%g</text>\n", x(tick),
+                  kHeight - kBottom + 16, tick);
+    out << text;
+  }
+  for (const Line& line : chart.lines) {
+    out << "<path class=\"line\" stroke=\"" << line.color << "\" d=\"";
+    bool joined = false;
+    for (std::size_t i = 0; i < line.values.size(); ++i) {
+      const double v = line.values[i];
+      if (!std::isfinite(v) || (chart.logarithmic && v <= 0)) {
+        joined = false;
+        continue;
+      }
+      std::snprintf(text, sizeof text, "%s%.1f %.1f", joined ? "L" : "M", x(reports[i].epoch), y(place(v)));
+      out << text;
+      joined = true;
+    }
+    out << "\"><title>" << line.name << "</title></path>\n";
+  }
+  out << "</svg>\n<p class=\"legend\">";
+  for (const Line& line : chart.lines) {
+    out << "<span style=\"color:" << line.color << "\">&#9632;</span> " << line.name << " &ensp; ";
+  }
+  out << chart.unit << "</p>\n";
+}
+
+std::string escaped(const std::string& text) {
+  std::string result;
+  for (const char c : text) {
+    result += c == '<' ? "&lt;" : c == '>' ? "&gt;" : c == '&' ? "&amp;" : std::string(1, c);
+  }
+  return result;
+}
+
+}  // namespace
+
+std::string to_json(const EpochReport& r) {
+  return json{{"epoch", r.epoch},
+              {"steps", r.steps},
+              {"minutes", r.minutes},
+              {"learning_rate", r.learning_rate},
+              {"total", r.total},
+              {"displacement", r.displacement},
+              {"normal", r.normal},
+              {"velocity", r.velocity},
+              {"kinematic", r.kinematic},
+              {"validated", r.validated},
+              {"psnr_db", r.psnr_db},
+              {"psnr_normal_db", r.psnr_normal_db},
+              {"psnr_velocity_db", r.psnr_velocity_db},
+              {"vmse_m2", r.vmse_m2},
+              {"best", r.best}}
+      .dump();
+}
+
+EpochReport report_from_json(const std::string& text) {
+  EpochReport r;
+  if (text.empty()) return r;
+  const json d = json::parse(text);
+  r.epoch = d.at("epoch"), r.steps = d.at("steps"), r.minutes = d.at("minutes");
+  r.learning_rate = d.at("learning_rate"), r.total = d.at("total"), r.displacement = d.at("displacement");
+  r.normal = d.at("normal"), r.velocity = d.at("velocity"), r.kinematic = d.at("kinematic");
+  r.validated = d.at("validated"), r.psnr_db = d.at("psnr_db"), r.vmse_m2 = d.at("vmse_m2"), r.best = d.at("best");
+  r.psnr_normal_db = d.at("psnr_normal_db"), r.psnr_velocity_db = d.at("psnr_velocity_db");
+  return r;
+}
+
+std::vector<EpochReport> read_log(const std::string& path, int last_epoch) {
+  std::vector<EpochReport> reports;
+  std::ifstream file(path);
+  std::string line;
+  std::getline(file, line);
+  if (line != kHeader) return reports;
+  while (std::getline(file, line)) {
+    std::vector<double> values;
+    std::istringstream row(line);
+    for (std::string cell; std::getline(row, cell, ',');) values.push_back(std::strtod(cell.c_str(), nullptr));
+    // A row that was being written when the process was killed comes again.
+    if (values.size() != kColumns || values[0] > last_epoch) continue;
+    EpochReport r;
+    r.epoch = static_cast<int>(values[0]), r.steps = static_cast<std::int64_t>(values[1]), r.minutes = values[2];
+    r.learning_rate = values[3], r.total = values[4], r.displacement = values[5], r.normal = values[6];
+    r.velocity = values[7], r.kinematic = values[8], r.psnr_db = values[9], r.psnr_normal_db = values[10];
+    r.psnr_velocity_db = values[11], r.vmse_m2 = values[12], r.best = values[14] != 0;
+    r.validated = r.psnr_db != 0;
+    reports.push_back(r);
+  }
+  return reports;
+}
+
+void write_log(const std::string& path, const std::vector<EpochReport>& reports) {
+  std::ofstream file(path, std::ios::trunc);
+  file << kHeader << "\n";
+  for (const EpochReport& report : reports) file << csv_row(report) << "\n";
+  if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, path + ": can't write");
+}
+
+std::string curves_page(const std::string& name, const std::vector<EpochReport>& reports,
+                        const BaselineReport& baseline) {
+  const auto values = [&](auto member, bool validated, double factor = 1) {
+    std::vector<double> result;
+    for (const EpochReport& r : reports) {
+      result.push_back(validated && !r.validated ? std::nan("") : factor * static_cast<double>(r.*member));
+    }
+    return result;
+  };
+  std::vector<double> rmse;
+  for (const EpochReport& r : reports) rmse.push_back(r.validated ? 1e3 * std::sqrt(r.vmse_m2) : std::nan(""));
+  const std::vector<double> plain(reports.size(), baseline.barycentric_psnr_db),
+      plain_rmse(reports.size(), 1e3 * std::sqrt(baseline.barycentric_vmse_m2));
+  std::vector<Chart> charts{
+      {"Training loss",
+       "mean over the epoch, unweighted parts",
+       true,
+       {{"total", "#111111", values(&EpochReport::total, false)},
+        {"displacement", "#0072b2", values(&EpochReport::displacement, false)},
+        {"normal", "#009e73", values(&EpochReport::normal, false)},
+        {"velocity", "#d55e00", values(&EpochReport::velocity, false)},
+        {"kinematic", "#cc79a7", values(&EpochReport::kinematic, false)}}},
+      {"PSNR on the validation frames",
+       "dB",
+       false,
+       {{"displacement", "#0072b2", values(&EpochReport::psnr_db, true)},
+        {"normal", "#009e73", values(&EpochReport::psnr_normal_db, true)},
+        {"velocity", "#d55e00", values(&EpochReport::psnr_velocity_db, true)}}},
+      {"RMSE of the mesh on the validation frames", "mm", false, {{"network", "#0072b2", rmse}}},
+      {"Learning rate", "", true, {{"rate", "#111111", values(&EpochReport::learning_rate, false)}}}};
+  if (baseline.barycentric_vmse_m2 > 0) {
+    charts[1].lines.push_back({"displacement, upsampled mesh", "#999999", plain});
+    charts[2].lines.push_back({"upsampled mesh", "#999999", plain_rmse});
+  }
+  std::ostringstream out;
+  out << "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Training of " << escaped(name)
+      << "</title>\n<style>body{font:15px/1.4 system-ui,sans-serif;max-width:720px;margin:2em auto;padding:0 1em;"
+         "color:#222;background:#fff}h1{font-size:1.4em}h2{font-size:1.05em;margin:1.6em 0 .3em}svg{width:100%}"
+         "svg text{font:11px system-ui,sans-serif;fill:#555}.grid{stroke:#ddd}.line{fill:none;stroke-width:1.8}"
+         ".legend{margin:.1em 0;font-size:13px;color:#555}</style></head>\n<body><h1>Training of "
+      << escaped(name) << "</h1>\n";
+  if (!reports.empty()) {
+    const EpochReport& last = reports.back();
+    char text[160];
+    std::snprintf(text, sizeof text, "<p>%d epochs, %lld steps, %.1f minutes.</p>\n", last.epoch,
+                  static_cast<long long>(last.steps), last.minutes);
+    out << text;
+    for (const Chart& chart : charts) draw(out, chart, reports);
+  }
+  out << "</body></html>\n";
+  return out.str();
+}
+
+}  // namespace pleat::superres

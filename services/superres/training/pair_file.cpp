@@ -1,0 +1,128 @@
+#include "services/superres/training/pair_file.hpp"
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <vector>
+
+#include "common/base/error.hpp"
+
+namespace pleat::superres {
+namespace {
+
+constexpr char kMagic[16] = "pleat.pairs.v1";
+
+struct Header {
+  char magic[16];
+  std::uint64_t content, frames;
+  std::int32_t coarse_height, coarse_width, fixed_point, reserved;
+};
+
+/// Where things lie in a file, in bytes.
+struct Layout {
+  std::size_t coarse_image, fine_image;  ///< of one
+  std::size_t rotations, coarse, fine, end;
+
+  explicit Layout(const PairFileKey& key) {
+    const std::size_t texels = static_cast<std::size_t>(key.coarse_height) * static_cast<std::size_t>(key.coarse_width);
+    const auto frames = static_cast<std::size_t>(key.frames);
+    coarse_image = kChannels * texels * sizeof(float);
+    fine_image = kChannels * kScale * kScale * texels * (key.fixed_point ? sizeof(std::uint16_t) : sizeof(float));
+    rotations = sizeof(Header);
+    coarse = rotations + frames * 9 * sizeof(float);
+    fine = coarse + frames * coarse_image;
+    end = fine + frames * fine_image;
+  }
+};
+
+Header header_of(const PairFileKey& key) {
+  Header header{};
+  std::memcpy(header.magic, kMagic, sizeof kMagic);
+  header.content = key.content, header.frames = key.frames;
+  header.coarse_height = key.coarse_height, header.coarse_width = key.coarse_width;
+  header.fixed_point = key.fixed_point ? 1 : 0;
+  return header;
+}
+
+}  // namespace
+
+PairFileWriter::PairFileWriter(const std::filesystem::path& path, const PairFileKey& key) : path_(path), key_(key) {
+  std::error_code error;
+  std::filesystem::create_directories(path.parent_path(), error);
+  const std::string partial = path.string() + ".partial";
+  file_ = ::open(partial.c_str(), O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+  if (file_ < 0) throw Error(ErrorCode::kResourceExhausted, partial + ": can't write: " + std::strerror(errno));
+  const Header header = header_of(key);
+  write(&header, sizeof header, 0);
+}
+
+PairFileWriter::~PairFileWriter() {
+  if (file_ >= 0) ::close(file_);
+}
+
+void PairFileWriter::write(const void* data, std::size_t bytes, std::size_t offset) {
+  const char* place = static_cast<const char*>(data);
+  while (bytes > 0) {
+    const ssize_t written = ::pwrite(file_, place, bytes, static_cast<off_t>(offset));
+    if (written < 0 && errno == EINTR) continue;
+    if (written <= 0) {
+      throw Error(ErrorCode::kResourceExhausted, path_.string() + ".partial: can't write: " + std::strerror(errno));
+    }
+    place += written;
+    offset += static_cast<std::size_t>(written);
+    bytes -= static_cast<std::size_t>(written);
+  }
+}
+
+void PairFileWriter::append(std::span<const float> coarse, std::span<const float> fine,
+                            const std::array<float, 9>& rotation) {
+  const Layout layout(key_);
+  if (count_ >= key_.frames || coarse.size_bytes() != layout.coarse_image) throw_internal("pair file: another size");
+  ImageStore store(kScale * key_.coarse_height, kScale * key_.coarse_width, key_.fixed_point);
+  store.append(fine);
+  write(rotation.data(), sizeof rotation, layout.rotations + count_ * sizeof rotation);
+  write(coarse.data(), coarse.size_bytes(), layout.coarse + count_ * layout.coarse_image);
+  write(store.data(), layout.fine_image, layout.fine + count_ * layout.fine_image);
+  ++count_;
+}
+
+void PairFileWriter::finish() {
+  if (count_ != key_.frames) throw_internal("pair file: frames are missing");
+  const std::string partial = path_.string() + ".partial";
+  if (::fsync(file_) != 0) throw Error(ErrorCode::kResourceExhausted, partial + ": " + std::strerror(errno));
+  std::error_code error;
+  std::filesystem::rename(partial, path_, error);
+  if (error) throw Error(ErrorCode::kResourceExhausted, path_.string() + ": can't rename: " + error.message());
+}
+
+bool map_pair_file(const std::filesystem::path& path, const PairFileKey& key, PairSequence& sequence) {
+  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (file < 0) return false;
+  const Layout layout(key);
+  struct stat status {};
+  void* memory = MAP_FAILED;
+  if (::fstat(file, &status) == 0 && static_cast<std::size_t>(status.st_size) == layout.end) {
+    memory = ::mmap(nullptr, layout.end, PROT_READ, MAP_SHARED, file, 0);
+  }
+  ::close(file);
+  if (memory == MAP_FAILED) return false;
+  const std::shared_ptr<const char> owner(static_cast<const char*>(memory), [size = layout.end](const char* begin) {
+    ::munmap(const_cast<char*>(begin), size);
+  });
+  const Header expected = header_of(key);
+  if (std::memcmp(owner.get(), &expected, sizeof expected) != 0) return false;
+  const auto frames = static_cast<std::size_t>(key.frames);
+  sequence.rotations.resize(frames);
+  std::memcpy(sequence.rotations.data(), owner.get() + layout.rotations, frames * 9 * sizeof(float));
+  sequence.coarse =
+      ImageStore(key.coarse_height, key.coarse_width, false, frames, {owner, owner.get() + layout.coarse});
+  sequence.fine = ImageStore(kScale * key.coarse_height, kScale * key.coarse_width, key.fixed_point, frames,
+                             {owner, owner.get() + layout.fine});
+  return true;
+}
+
+}  // namespace pleat::superres

@@ -1,0 +1,35 @@
+// The hot path of conversion takes no memory once it has run.
+#include <gtest/gtest.h>
+
+#include "services/conversion/image_map.hpp"
+#include "services/conversion/normalization.hpp"
+#include "tests/support/allocation_counter.hpp"
+#include "tests/unit/services/conversion/wrinkled_cloth.hpp"
+
+namespace pleat {
+namespace {
+
+TEST(HotPath, BothDirectionsTakeNoMemory) {
+  if (!PLEAT_COUNTS_ALLOCATIONS) GTEST_SKIP() << "a sanitizer has replaced malloc";
+  const test::Garment garment = test::load_garment("tablecloth");
+  const ImageMap map(garment.coarse, garment.fine());
+  const Frame coarse = test::wrinkled_frame(garment.coarse, 0.1f), fine = test::wrinkled_frame(garment.fine(), 0.1f);
+  const Tensor fine_image = map.fine_image(fine, map.align(coarse.positions));
+  Tensor image;
+  Positions positions;
+  Normalization range;
+  std::size_t before = 0;
+  for (int run = 0; run < 3; ++run) {
+    if (run == 1) before = test::allocations;
+    const RigidTransform transform = map.align(coarse.positions);
+    map.coarse_image(coarse, transform, image);
+    if (run == 0) extend_normalization(range, image);
+    normalize(image, range);
+    denormalize(image, range);
+    map.to_mesh(fine_image, transform, positions);
+  }
+  EXPECT_EQ(test::allocations - before, 0u);
+}
+
+}  // namespace
+}  // namespace pleat

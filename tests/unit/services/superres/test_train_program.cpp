@@ -1,0 +1,129 @@
+// pleat-train as a program: killed, short of disk, and as several processes.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <thread>
+#include <vector>
+
+#include "tests/unit/services/superres/example_dataset.hpp"
+
+namespace pleat::superres {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+std::string read_file(const fs::path& path) {
+  std::ifstream file(path);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+class TrainProgram : public testing::Test {
+ protected:
+  void SetUp() override {
+    const auto* info = testing::UnitTest::GetInstance()->current_test_info();
+    root_ = fs::temp_directory_path() / (std::string("pleat_program_") + info->name() + std::to_string(::getpid()));
+    write_example_dataset(root_ / "data", example_master());
+    std::ofstream(root_ / "train.json") << R"({"name": "small", "dataset": ")" << (root_ / "data").string()
+                                        << R"(", "output": "out", "images": {"coarse_width": 12, "coarse_height": 9},
+      "architecture": {"blocks": 1, "layers": 2, "growth": 8, "features": 8, "upsampling": "subpixel",
+                       "residual": "mesh", "axes": "local", "conditioned": true},
+      "losses": {"frames": 2, "scaling": "deviation"}, "optimizer": {"learning_rate": 1e-3, "average": 0.9},
+      "schedule": {"kind": "constant"}, "validation": {"every_frames": 3}, "epochs": 4, "batch": 4, "patch": 0,
+      "mirror": true, "steps_per_epoch": 8, "threads": 1, "device": "cpu", "checkpoint_minutes": 0})";
+  }
+  void TearDown() override { fs::remove_all(root_); }
+
+  /// A shell command; pleat-train is $TRAIN, and comes with the configuration.
+  int shell(const std::string& command) const {
+    const std::string train =
+        std::string(std::getenv("PLEAT_BINARY_DIR")) + "/bin/pleat-train " + (root_ / "train.json").string();
+    const std::string line = "export TRAIN='" + train + "'; cd " + root_.string() + "; { " + command + "; } >>" +
+                             (root_ / "said.txt").string() + " 2>&1";
+    const int status = std::system(line.c_str());
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  std::string said() const { return read_file(root_ / "said.txt"); }
+
+  /// Rows of log.csv as numbers, without the minutes.
+  std::vector<std::vector<double>> rows(const std::string& output) const {
+    std::ifstream file(root_ / output / "log.csv");
+    std::vector<std::vector<double>> result;
+    std::string line;
+    std::getline(file, line);
+    while (std::getline(file, line)) {
+      std::istringstream cells(line);
+      auto& row = result.emplace_back();
+      for (std::string cell; std::getline(cells, cell, ',');) row.push_back(std::strtod(cell.c_str(), nullptr));
+      if (row.size() > 2) row.erase(row.begin() + 2);
+    }
+    return result;
+  }
+
+  fs::path root_;
+};
+
+TEST_F(TrainProgram, KilledAndResumedTrainingHasTheSameCurve) {
+  ASSERT_EQ(shell("$TRAIN --set output=whole"), 0) << said();
+  // The process is killed when it has written the rows of two epochs.
+  const int killed = shell(
+      "$TRAIN --set output=parts & "
+      "while [ $(cat parts/log.csv 2>/dev/null | wc -l) -lt 3 ]; do sleep 0.02; done; kill -9 $!; wait $!");
+  EXPECT_EQ(killed, 128 + SIGKILL) << said();
+  EXPECT_LT(rows("parts").size(), rows("whole").size());
+  ASSERT_EQ(shell("$TRAIN --set output=parts"), 0) << said();
+  EXPECT_THAT(said(), HasSubstr("resumed at epoch"));
+  EXPECT_EQ(rows("parts"), rows("whole"));
+}
+
+TEST_F(TrainProgram, SeveralProcessesHaveTheCurveOfOne) {
+  ASSERT_EQ(shell("$TRAIN --set output=one"), 0) << said();
+  ASSERT_EQ(shell("$TRAIN --set output=two --processes 2"), 0) << said();
+  const auto one = rows("one"), two = rows("two");
+  ASSERT_EQ(one.size(), two.size());
+  for (std::size_t i = 0; i < one.size(); ++i) {
+    ASSERT_EQ(one[i].size(), two[i].size());
+    for (std::size_t k = 0; k + 1 < one[i].size(); ++k) {
+      EXPECT_NEAR(two[i][k], one[i][k], 1e-4 * std::abs(one[i][k])) << "row " << i << ", column " << k;
+    }
+  }
+  EXPECT_EQ(shell("$TRAIN --set output=many --processes 5"), 2);
+  EXPECT_THAT(said(), HasSubstr("'batch' = 4"));
+}
+
+TEST_F(TrainProgram, FullDiskKeepsTheLastCheckpoint) {
+  ASSERT_EQ(shell("$TRAIN --set output=whole"), 0) << said();
+  ASSERT_EQ(shell("$TRAIN --set output=short --set epochs=2"), 0) << said();
+  const std::string before = read_file(root_ / "short/checkpoint.pt");
+  // No file may grow beyond 16 KiB; the signal is ignored, so that writing fails as on a full disk.
+  EXPECT_EQ(shell("trap '' XFSZ; ulimit -f 16; $TRAIN --set output=short"), 1) << said();
+  EXPECT_THAT(said(), HasSubstr("can't write"));
+  EXPECT_EQ(read_file(root_ / "short/checkpoint.pt"), before);
+  ASSERT_EQ(shell("$TRAIN --set output=short"), 0) << said();
+  EXPECT_EQ(rows("short"), rows("whole"));
+}
+
+TEST_F(TrainProgram, SaysWhatIsWrong) {
+  EXPECT_EQ(shell("$TRAIN --set dataset=nowhere"), 2);
+  EXPECT_THAT(said(), HasSubstr("nowhere"));
+  EXPECT_EQ(shell("$TRAIN --set batch=0"), 2);
+  EXPECT_EQ(shell("$TRAIN --faster"), 2);
+  EXPECT_EQ(shell("$TRAIN --processes none"), 2);
+  EXPECT_EQ(shell("$TRAIN --help"), 0);
+  fs::resize_file(root_ / "data/sequences/b.h5", 100);
+  EXPECT_EQ(shell("$TRAIN --strict"), 2);
+  EXPECT_THAT(said(), HasSubstr("sequence b"));
+}
+
+}  // namespace
+}  // namespace pleat::superres
