@@ -1,5 +1,6 @@
 #include "services/simulation/cloth.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <string>
 #include <utility>
@@ -15,6 +16,8 @@ using Clock = std::chrono::steady_clock;
 // Metres. Nothing of a garment's scene is farther from the origin; NaN isn't nearer either.
 constexpr double kFarthest = 1e5;
 constexpr int kMostHalvings = 6;
+// m/s. How fast a hard handle that something stood against goes back to its script.
+constexpr double kCatchUpSpeed = 1;
 
 double milliseconds(Clock::time_point from, Clock::time_point to) {
   return std::chrono::duration<double, std::milli>(to - from).count();
@@ -71,9 +74,18 @@ void Cloth::collect_pins(double time_s, double step_s) {
     }
     state.active = active;
     if (!active) continue;
+    const Pose before = pose_at(script.motion, state.pivot, time_s);
     const Pose pose = pose_at(script.motion, state.pivot, time_s + step_s);
     for (std::size_t i = 0; i < state.vertices.size(); ++i) {
-      pins_.push_back({state.vertices[i], pose.apply(state.anchors[i]), script.stiffness, script.hard});
+      const std::uint32_t v = state.vertices[i];
+      Vector3d target = pose.apply(state.anchors[i]);
+      if (script.hard) {
+        const double farthest = (target - before.apply(state.anchors[i])).norm() + kCatchUpSpeed * step_s;
+        const Vector3d way = target - positions_[v];
+        const double length = way.norm();
+        if (length > farthest) target = positions_[v] + farthest / length * way;
+      }
+      pins_.push_back({v, target, script.stiffness, script.hard});
     }
   }
 }
@@ -85,8 +97,9 @@ void Cloth::step(double time_s, double step_s, std::span<const Pin> springs, Thr
 void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool, int halvings) {
   const auto start = Clock::now();
   collect_pins(time_s, step_s);
-  inverse_masses_.resize(vertex_count());
-  for (std::size_t v = 0; v < vertex_count(); ++v) inverse_masses_[v] = 1 / dynamics_.masses()[v];
+  free_inverse_masses_.resize(vertex_count());
+  for (std::size_t v = 0; v < vertex_count(); ++v) free_inverse_masses_[v] = 1 / dynamics_.masses()[v];
+  inverse_masses_ = free_inverse_masses_;
   for (const Pin& pin : pins_) {
     if (pin.hard) inverse_masses_[pin.vertex] = 0;
   }
@@ -132,7 +145,7 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
   }
   for (std::size_t o = 0; o < obstacles.size(); ++o) end[vertex_count() + o] = obstacles[o];
   const bool limited = strain_limits_.project(std::span(end).first(vertex_count()), inverse_masses_);
-  const Resolution resolution = contact_.resolve(positions_, end, inverse_masses_, pool);
+  const Resolution resolution = contact_.resolve(positions_, end, inverse_masses_, free_inverse_masses_, pool);
   if (resolution.impacts > 0 || limited) {
     for (std::size_t i = 0; i < vertex_count(); ++i) velocities_[i] = (end[i] - positions_[i]) / step_s;
   }
@@ -143,10 +156,23 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
   report_.impacts += resolution.impacts;
   report_.rigid_zones += resolution.rigid_zones;
   report_.cut_steps += resolution.cut ? 1 : 0;
+  report_.yielded_steps += resolution.yielded ? 1 : 0;
   report_.assembly_ms += dynamics_.assembly_ms();
   report_.solve_ms += dynamics_.solve_ms();
   report_.contact_ms += milliseconds(start, repulsion_done) + milliseconds(solve_done, done);
   report_.total_ms += milliseconds(start, done);
+}
+
+double Cloth::handle_lag(std::size_t handle, double time_s) const {
+  const HandleState& state = handles_[handle];
+  const Handle& script = scene_.handles[handle];
+  if (!state.active || !script.hard) return 0;
+  const Pose pose = pose_at(script.motion, state.pivot, time_s);
+  double lag = 0;
+  for (std::size_t i = 0; i < state.vertices.size(); ++i) {
+    lag = std::max(lag, (pose.apply(state.anchors[i]) - positions_[state.vertices[i]]).norm());
+  }
+  return lag;
 }
 
 ClothReport Cloth::take_report() { return std::exchange(report_, {}); }

@@ -26,7 +26,7 @@ struct HandleState {
 
 /// Sums over the steps since take_report().
 struct ClothReport {
-  std::uint64_t contacts = 0, impacts = 0, rigid_zones = 0, cut_steps = 0, solver_iterations = 0;
+  std::uint64_t contacts = 0, impacts = 0, rigid_zones = 0, cut_steps = 0, yielded_steps = 0, solver_iterations = 0;
   double total_ms = 0, assembly_ms = 0, solve_ms = 0, contact_ms = 0;
 };
 
@@ -58,6 +58,8 @@ class Cloth {
   const ContactSystem& contact() const { return contact_; }
   const Dynamics& dynamics() const { return dynamics_; }
   ClothReport take_report();
+  /// Metres by which the hard handle's vertices lag behind its script at most, at a time. 0 unless it is active.
+  double handle_lag(std::size_t handle, double time_s) const;
 
   /// The state that a step changes, for check-points.
   template <typename Archive>
@@ -84,7 +86,7 @@ class Cloth {
   Points positions_, velocities_;  // of all particles
   std::vector<HandleState> handles_;
   std::vector<Pin> pins_;
-  std::vector<double> inverse_masses_;
+  std::vector<double> inverse_masses_, free_inverse_masses_;  // with and without the hard handles
   ClothReport report_;
 };
 

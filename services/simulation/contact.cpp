@@ -237,6 +237,22 @@ void ContactSystem::add_neighbours(const Points& start, const Points& end, Threa
   for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
 }
 
+// Whether a plane keeps two faces apart for the whole motion, and by more than any pair that is kept: the distance of
+// two points along a fixed direction is linear in time, so that its least value is at the start or at the end. Most
+// faces whose boxes meet lie beside each other on the cloth, and the line between their centres tells.
+bool ContactSystem::apart(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end) const {
+  const auto &a = faces_[f], &b = faces_[g];
+  const Vector3d axis = (start[a[0]] + start[a[1]] + start[a[2]] + end[a[0]] + end[a[1]] + end[a[2]]) -
+                        (start[b[0]] + start[b[1]] + start[b[2]] + end[b[0]] + end[b[1]] + end[b[2]]);
+  const auto gap = [&](const Points& x) {
+    const auto along = [&](std::uint32_t v) { return axis.dot(x[v]); };
+    return std::min({along(a[0]), along(a[1]), along(a[2])}) - std::max({along(b[0]), along(b[1]), along(b[2])});
+  };
+  // As in keep_if_close: vertices may yet move by slack_, on either side.
+  const double length = axis.norm();
+  return gap(start) > length * (2 * slack_ + 2 * kGap) && gap(end) > length * (thickness_ + 2 * slack_ + 2 * kGap);
+}
+
 void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPool& pool) {
   const double margin = 0.5 * thickness_ + slack_ + kGap;
   pool.parallel_for(particle_count_, 4096, [&](std::size_t begin, std::size_t last) {
@@ -257,6 +273,7 @@ void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPoo
     auto& out = results[begin / kGrain];
     for (std::size_t p = begin; p < last; ++p) {
       const auto [f, g] = face_pairs[p];
+      if (apart(f, g, start, end)) continue;
       for_each_pair(f, g, true, [&](const Pair& pair) { keep_if_close(pair, start, end, out); });
     }
   });
@@ -426,16 +443,15 @@ bool ContactSystem::move_rigidly(const std::vector<Impact>& impacts, std::span<c
   return true;
 }
 
-Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<const double> inverse_masses,
-                                  ThreadPool& pool) {
-  Resolution result;
+// One attempt: rounds of projections, then of rigid zones, until nothing collides. Returns false if that does not
+// happen; `end` is of no use then. impacts: those met.
+bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<const double> inverse_masses,
+                                   ThreadPool& pool, std::vector<Impact>& impacts, Resolution& result) {
   find_pairs(start, end, pool);
   const double most = 0.1 * thickness_;
-  std::vector<Impact> impacts;
+  impacts.clear();
   std::map<std::pair<Kind, std::array<std::uint32_t, 4>>, std::size_t> impact_of;
   std::vector<char> changed(particle_count_, 1);
-  bool solvable = true;
-  const Points wanted = end;
 
   constexpr std::size_t kGrain = 1024;
   std::vector<std::vector<Impact>> found;
@@ -457,11 +473,12 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
     });
     std::size_t new_impacts = 0;
     for (const auto& list : found) new_impacts += list.size();
-    if (new_impacts == 0) return result;
+    if (new_impacts == 0) return true;
     result.impacts += new_impacts;
-    result.rounds = static_cast<std::uint64_t>(round) + 1;
+    ++result.rounds;
 
     // The latest geometry of a pair replaces what earlier rounds knew about it.
+    bool solvable = true;
     for (const auto& list : found) {
       for (const Impact& impact : list) {
         const auto [known, inserted] = impact_of.try_emplace({impact.pair.kind, impact.pair.v}, impacts.size());
@@ -476,36 +493,19 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
                                            [&](std::uint32_t v) { return inverse_mass(inverse_masses, v) > 0; });
       }
     }
+    if (!solvable || round >= kProjectionRounds + kRigidRounds) return false;
     const Points before = end;
     if (round < kProjectionRounds) {
       project(impacts, inverse_masses, end);
-    } else if (round < kProjectionRounds + kRigidRounds) {
-      solvable = solvable && move_rigidly(impacts, inverse_masses, start, end, result.rigid_zones);
-    }
-    if (!solvable || round >= kProjectionRounds + kRigidRounds) {
-      // The last resort can't fail: everything, obstacles included, stops before the first collision of the motion
-      // that was wanted. What the rounds have made of it may be far out.
-      end = wanted;
-      find_pairs(start, end, pool);
-      double time = 1;
-      for (const Pair& pair : pairs_) {
-        // Cut after cut must not wear the clearance down: a pair at the floor may part, but not come closer.
-        Pair guarded = pair;
-        const double clearance = std::sqrt(closest(pair, start).squared_distance) - static_cast<double>(pair.minimum);
-        guarded.minimum += static_cast<float>(std::min(kFloor, 0.999 * clearance));
-        const auto collision = collide(guarded, start, end);
-        if (collision) time = std::min(time, collision->time);
-      }
-      for (std::size_t i = 0; i < end.size(); ++i) end[i] = start[i] + 0.8 * time * (end[i] - start[i]);
-      result.cut = true;
-      return result;
+    } else if (!move_rigidly(impacts, inverse_masses, start, end, result.rigid_zones)) {
+      return false;
     }
     bool far = false;
     for (std::size_t i = 0; i < end.size(); ++i) {
       changed[i] = end[i] != before[i];
       far = far || (end[i] - pairs_end_[i]).squaredNorm() > slack_ * slack_;
     }
-    // What collided is looked at again even if nothing could move it: a handle that is led into an obstacle.
+    // What collided is looked at again even if nothing could move it.
     for (const auto& list : found) {
       for (const Impact& impact : list) {
         for (const std::uint32_t v : impact.pair.v) changed[v] = 1;
@@ -513,6 +513,50 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
     }
     if (far) find_pairs(start, end, pool);
   }
+}
+
+// The last resort can't fail: everything, obstacles included, stops before the first collision of the motion.
+void ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
+  find_pairs(start, end, pool);
+  double time = 1;
+  for (const Pair& pair : pairs_) {
+    // Cut after cut must not wear the clearance down: a pair at the floor may part, but not come closer.
+    Pair guarded = pair;
+    const double clearance = std::sqrt(closest(pair, start).squared_distance) - static_cast<double>(pair.minimum);
+    guarded.minimum += static_cast<float>(std::min(kFloor, 0.999 * clearance));
+    const auto collision = collide(guarded, start, end);
+    if (collision) time = std::min(time, collision->time);
+  }
+  for (std::size_t i = 0; i < end.size(); ++i) end[i] = start[i] + 0.8 * time * (end[i] - start[i]);
+}
+
+Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<const double> inverse_masses,
+                                  std::span<const double> yielding, ThreadPool& pool) {
+  Resolution result;
+  std::vector<Impact> impacts;
+  const Points wanted = end;
+  if (resolve_rounds(start, end, inverse_masses, pool, impacts, result)) return result;
+  // What the rounds have made of it may be far out: every further attempt begins anew. Handles that met something give
+  // way; then those too that come into it now.
+  std::vector<double> masses(inverse_masses.begin(), inverse_masses.end());
+  for (int attempt = 0; attempt < 2 && !yielding.empty(); ++attempt) {
+    bool gives_way = false;
+    for (const Impact& impact : impacts) {
+      for (const std::uint32_t v : impact.pair.v) {
+        if (v >= cloth_count_ || masses[v] > 0 || yielding[v] <= 0) continue;
+        masses[v] = yielding[v];
+        gives_way = true;
+      }
+    }
+    if (!gives_way) break;
+    result.yielded = true;
+    end = wanted;
+    if (resolve_rounds(start, end, masses, pool, impacts, result)) return result;
+  }
+  end = wanted;
+  cut(start, end, pool);
+  result.cut = true;
+  return result;
 }
 
 }  // namespace pleat::simulation

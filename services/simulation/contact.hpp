@@ -23,7 +23,8 @@ struct Resolution {
   std::uint64_t impacts = 0;
   std::uint64_t rigid_zones = 0;
   std::uint64_t rounds = 0;
-  bool cut = false;  ///< the step was cut: obstacles and hard handles lag behind their script too
+  bool yielded = false;  ///< hard handles gave way to what stood against them
+  bool cut = false;      ///< the step was cut: obstacles and hard handles lag behind their script too
 };
 
 /// A place where a state is not clean.
@@ -76,8 +77,11 @@ class ContactSystem {
                                       double step_s, ThreadPool& pool);
 
   /// Changes `end` so that the linear motion from `start` (clean) to `end` is free of collisions.
-  /// inverse_masses: of the cloth vertices; 0 for prescribed ones. `start`, `end`: all particles.
-  Resolution resolve(const Points& start, Points& end, std::span<const double> inverse_masses, ThreadPool& pool);
+  /// inverse_masses: of the cloth vertices; 0 for prescribed ones, which move as prescribed unless nothing else will
+  /// do. Then those that collide have the inverse masses in `yielding`; empty: they never yield. `start`, `end`: all
+  /// particles.
+  Resolution resolve(const Points& start, Points& end, std::span<const double> inverse_masses,
+                     std::span<const double> yielding, ThreadPool& pool);
 
  private:
   enum class Kind : std::uint8_t { kVertexFace, kEdgeEdge, kSphereFace };
@@ -97,6 +101,9 @@ class ContactSystem {
 
   ClosestPoints closest(const Pair& pair, const Points& x) const;
   std::optional<Collision> collide(const Pair& pair, const Points& start, const Points& end) const;
+  bool resolve_rounds(const Points& start, Points& end, std::span<const double> inverse_masses, ThreadPool& pool,
+                      std::vector<Impact>& impacts, Resolution& result);
+  void cut(const Points& start, Points& end, ThreadPool& pool);
   void find_pairs(const Points& start, const Points& end, ThreadPool& pool);
   void add_round_pairs(const Points& start, const Points& end, double margin);
   template <typename Add>
@@ -107,6 +114,7 @@ class ContactSystem {
   std::uint32_t obstacle_of(std::uint32_t particle) const;
   template <typename Use>
   void for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const;
+  bool apart(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end) const;
   double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
   void find_neighbours();
   void add_neighbours(const Points& start, const Points& end, ThreadPool& pool);

@@ -17,10 +17,8 @@ HandleWatch::HandleWatch(const Topology& garment, const Scene& scene) : limit_(s
   std::vector<char> handled(static_cast<std::size_t>(garment.vertex_count()));
   for (std::size_t h = 0; h < scene.handles.size(); ++h) {
     const Handle& handle = scene.handles[h];
-    Watched watched{"handle " + (handle.name.empty() ? std::to_string(h) : "'" + handle.name + "'"),
-                    handle.start_s,
-                    handle.end_s,
-                    {}};
+    names_.push_back("handle " + (handle.name.empty() ? std::to_string(h) : "'" + handle.name + "'"));
+    Watched watched{names_.back(), handle.start_s, handle.end_s, {}};
     handled.assign(handled.size(), 0);
     for (const std::uint32_t v : handle.vertices) handled[v] = 1;
     for (Eigen::Index f = 0; f < garment.face_count(); ++f) {
@@ -54,6 +52,13 @@ std::optional<std::string> HandleWatch::check(std::span<const Eigen::Vector3d> p
                         "); beyond " + short_number(limit_) + " real cloth may tear";
   handles_.clear();
   return warning;
+}
+
+std::optional<std::string> HandleWatch::check_lag(std::size_t handle, double lag_m, double time_s) {
+  if (lag_told_ || lag_m < 1e-3) return std::nullopt;
+  lag_told_ = true;
+  return names_[handle] + " can't follow its script: something stands in its way (" + short_number(1e3 * lag_m) +
+         " mm behind at " + short_number(time_s) + " s)";
 }
 
 }  // namespace pleat::simulation

@@ -1,4 +1,4 @@
-// Notices handles that would tear the cloth.
+// Notices handles that would tear the cloth, or can't go where their script takes them.
 #pragma once
 
 #include <Eigen/Core>
@@ -23,6 +23,9 @@ class HandleWatch {
   /// is beyond the scene's handle_stretch_warning; once only. positions: of the garment's vertices.
   std::optional<std::string> check(std::span<const Eigen::Vector3d> positions, double time_s);
 
+  /// A line about a hard handle that lags behind its script by more than a millimetre; once only.
+  std::optional<std::string> check_lag(std::size_t handle, double lag_m, double time_s);
+
  private:
   struct Face {
     std::uint32_t index;
@@ -36,6 +39,8 @@ class HandleWatch {
   };
   std::vector<Watched> handles_;
   double limit_;
+  std::vector<std::string> names_;
+  bool lag_told_ = false;
 };
 
 }  // namespace pleat::simulation

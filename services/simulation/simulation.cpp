@@ -418,12 +418,19 @@ SimulatedFrame Simulation::next_frame() {
   if (auto warning = s.handle_watch->check(s.coarse->positions(), frame.coarse.time_s)) {
     frame.warnings.push_back(std::move(*warning));
   }
+  for (std::size_t h = 0; h < s.scene.handles.size(); ++h) {
+    const double lag = s.coarse->handle_lag(h, frame.coarse.time_s);
+    if (auto warning = s.handle_watch->check_lag(h, lag, frame.coarse.time_s)) {
+      frame.warnings.push_back(std::move(*warning));
+    }
+  }
   const ClothReport coarse = s.coarse->take_report();
   const ClothReport fine = s.fine ? s.fine->take_report() : ClothReport{};
   const ClothReport& finest = s.fine ? fine : coarse;
   frame.times = {coarse.total_ms, fine.total_ms, finest.assembly_ms, finest.solve_ms, finest.contact_ms};
-  frame.report = {coarse.contacts + fine.contacts, coarse.impacts + fine.impacts, coarse.rigid_zones + fine.rigid_zones,
-                  coarse.cut_steps + fine.cut_steps, coarse.solver_iterations + fine.solver_iterations};
+  frame.report = {coarse.contacts + fine.contacts,           coarse.impacts + fine.impacts,
+                  coarse.rigid_zones + fine.rigid_zones,     coarse.cut_steps + fine.cut_steps,
+                  coarse.yielded_steps + fine.yielded_steps, coarse.solver_iterations + fine.solver_iterations};
   ++s.next;
   return frame;
 }

@@ -32,10 +32,11 @@ struct SimulationTimes {
 
 /// What happened in contact during the frame, both meshes together.
 struct ContactReport {
-  std::uint64_t contacts = 0;     ///< repulsions, summed over the steps
-  std::uint64_t impacts = 0;      ///< impacts resolved
-  std::uint64_t rigid_zones = 0;  ///< impact zones that had to be made rigid
-  std::uint64_t cut_steps = 0;    ///< steps that had to be cut
+  std::uint64_t contacts = 0;       ///< repulsions, summed over the steps
+  std::uint64_t impacts = 0;        ///< impacts resolved
+  std::uint64_t rigid_zones = 0;    ///< impact zones that had to be made rigid
+  std::uint64_t cut_steps = 0;      ///< steps that had to be cut
+  std::uint64_t yielded_steps = 0;  ///< steps in which a hard handle gave way
   std::uint64_t solver_iterations = 0;
 };
 

@@ -122,7 +122,7 @@ void RivalCloth::frame(int steps) {
     }
     advance(step_s, contact_->repulsion(start, velocities, masses_double_, step_s, pool_));
     for (std::size_t v = 0; v < vertices; ++v) end[v] = to_vector(x_[v]);
-    const simulation::Resolution resolution = contact_->resolve(start, end, inverse_masses_double_, pool_);
+    const simulation::Resolution resolution = contact_->resolve(start, end, inverse_masses_double_, {}, pool_);
     if (resolution.impacts == 0) continue;
     for (std::size_t v = 0; v < vertices; ++v) {
       const Double4 moved = to_double4(end[v]);
