@@ -147,6 +147,7 @@ class Run {
     std::optional<Progress> progress;
     v1::Job::State shown = v1::Job::STATE_UNSPECIFIED;
     std::optional<Clock::time_point> cancelled;
+    int warned = 0;
     while (true) {
       const auto [latest, over] = watcher.wait(std::chrono::milliseconds(50));
       if (!latest.id().empty()) job = latest;
@@ -159,6 +160,7 @@ class Run {
         progress.emplace(reference ? "reference" : "frames", job.frames());
         shown = job.state();
       }
+      for (; progress && warned < job.warnings_size(); ++warned) progress->line("warning: " + job.warnings(warned));
       if (progress && !over) progress->update(reference ? job.reference_frames_complete() : job.frames_complete());
       if (over) {
         if (progress) {

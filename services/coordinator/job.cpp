@@ -82,7 +82,8 @@ std::string to_json(const JobRecord& record) {
                                     {"wall_s", record.wall_s},
                                     {"penetrations", record.penetrations},
                                     {"self_intersections", record.self_intersections},
-                                    {"frame_errors", record.frame_errors}};
+                                    {"frame_errors", record.frame_errors},
+                                    {"warnings", record.warnings}};
   // Messages may quote what a client sent: what is not UTF-8 must not stop a record from being written.
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
@@ -112,6 +113,7 @@ JobRecord job_from_json(const std::string& text, const std::string& origin) {
     json.at("penetrations").get_to(record.penetrations);
     json.at("self_intersections").get_to(record.self_intersections);
     json.at("frame_errors").get_to(record.frame_errors);
+    record.warnings = json.value("warnings", record.warnings);  // older records have none
     if (!is_valid_job_id(record.id)) throw_data_loss("bad job id");
     return record;
   } catch (const std::exception& e) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <vector>
 
 namespace pleat::coordinator {
 
@@ -38,6 +39,7 @@ struct JobRecord {
   std::uint32_t penetrations = 0;
   std::uint32_t self_intersections = 0;
   std::uint32_t frame_errors = 0;
+  std::vector<std::string> warnings;  ///< of the simulation, a line each, each once
 
   bool operator==(const JobRecord&) const = default;
 };

@@ -1,6 +1,7 @@
 // The two phases of a job: enhance (simulation, pipeline, result file) and the reference simulation.
 #include <google/protobuf/util/json_util.h>
 
+#include <algorithm>
 #include <cstring>
 #include <map>
 #include <utility>
@@ -155,6 +156,18 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   options.counts = kJobCounts;
   options.deflate = settings_.compress && !request.reference();
 
+  // A simulation that is begun again says the same again.
+  const auto keep_warnings = [&](const v1::SimulatedFrame& simulated) {
+    if (simulated.warnings().empty()) return;
+    table_.update(job.id, [&](JobRecord& record) {
+      for (const std::string& warning : simulated.warnings()) {
+        if (std::find(record.warnings.begin(), record.warnings.end(), warning) == record.warnings.end()) {
+          record.warnings.push_back(warning);
+        }
+      }
+    });
+  };
+
   PendingCheckpoints checkpoints(folder / "checkpoint.bin");
   const auto stored = [&](const Recorder::FramePtr& frame, std::uint64_t complete) {
     checkpoints.frames_are_stored(complete);
@@ -204,6 +217,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
       if (first < scene.frames()) {
         source.run([&](v1::SimulatedFrame& simulated) {
           const std::uint64_t index = simulated.coarse().index();
+          keep_warnings(simulated);
           if (!simulated.checkpoint().empty()) checkpoints.add(index, std::move(*simulated.mutable_checkpoint()));
           if (index < first) return true;
           auto frame = std::make_unique<PipelineFrame>();

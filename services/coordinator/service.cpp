@@ -206,6 +206,7 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   summary.set_device(record.device);
   summary.set_precision(record.precision);
   summary.set_frame_errors(record.frame_errors);
+  for (const std::string& warning : record.warnings) job.add_warnings(warning);
   return job;
 }
 

@@ -31,6 +31,7 @@ JobRecord sample() {
   record.penetrations = 1;
   record.self_intersections = 2;
   record.frame_errors = 3;
+  record.warnings = {"handle 0 can't follow", "a second"};
   return record;
 }
 
@@ -64,6 +65,16 @@ TEST(Job, IdsAreSafeFolderNames) {
 }
 
 TEST(Job, RecordsSurviveTheirJson) { EXPECT_EQ(job_from_json(to_json(sample()), "job.json"), sample()); }
+
+TEST(Job, RecordsFromBeforeThereWereWarningsAreRead) {
+  JobRecord old = sample();
+  old.warnings.clear();
+  std::string json = to_json(old);
+  const std::size_t entry = json.find(",\n  \"warnings\": []");
+  ASSERT_NE(entry, std::string::npos) << json;
+  json.erase(entry, std::string(",\n  \"warnings\": []").size());
+  EXPECT_EQ(job_from_json(json, "job.json"), old);
+}
 
 TEST(Job, ARecordThatIsNotUtf8IsStillWritten) {
   JobRecord record = sample();

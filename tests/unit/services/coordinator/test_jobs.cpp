@@ -128,6 +128,8 @@ TEST_F(JobsTest, FaultsInEveryStageLeaveTheSameBits) {
   const v1::Job job = finished("a");
   ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
   EXPECT_EQ(job.summary().frame_errors(), 0U);
+  ASSERT_EQ(job.warnings_size(), 1) << "a simulation that goes on after a fault says it again";
+  EXPECT_EQ(job.warnings(0), "doubtful, on purpose");
   expect_right(job.result_path(), 16);
   EXPECT_NE(metrics_.text().find("pleat_reconnects_total"), std::string::npos);
 }
