@@ -50,6 +50,7 @@ void write_dataset_master(const std::filesystem::path& folder, const DatasetMast
   file.set_attribute("/", "time_step_s", master.time_step_s);
   file.set_attribute("/", "frame_time_s", master.frame_time_s);
   file.set_attribute("/", "seed", master.seed);
+  file.set_attribute("/", "fine", std::string(master.tracked ? "tracked" : "free"));
   file.set_attribute("/", "git_revision", master.git_revision);
   store::write_topologies(file, master.topology);
   if (master.normalization) {
@@ -186,6 +187,8 @@ DatasetReader::DatasetReader(const std::filesystem::path& folder) : state_(std::
   master.time_step_s = file.number_attribute("/", "time_step_s");
   master.frame_time_s = file.number_attribute("/", "frame_time_s");
   master.seed = file.integer_attribute("/", "seed");
+  // Files from before there was a choice are of tracked simulations.
+  master.tracked = !file.has_attribute("/", "fine") || file.string_attribute("/", "fine") == "tracked";
   master.git_revision = file.string_attribute("/", "git_revision");
   master.topology = store::read_topologies(file);
   if (file.exists("/normalization/minimum")) {

@@ -41,6 +41,7 @@ struct DatasetMaster {
   double time_step_s = 0;   ///< step of the simulation
   double frame_time_s = 0;  ///< time between frames
   std::uint64_t seed = 0;
+  bool tracked = true;  ///< the fine frames follow the coarse ones; false: free fine simulations
   std::string git_revision;
   MeshPair topology;
   std::optional<FeatureRange> normalization;

@@ -12,7 +12,7 @@ namespace pleat::cli {
 namespace {
 
 struct GenerateChoice {
-  std::string folder, set = "draping", scale = "small";
+  std::string folder, set = "draping", scale = "small", fine = "tracked";
   std::string garment = "deploy/garments/tablecloth.obj", material = "deploy/materials/gray-interlock.json";
   int frames = 0, train = -1, test = -1, workers = 0;
   std::uint64_t seed = 1;
@@ -30,6 +30,7 @@ int generate(const GenerateChoice& choice) {
   options.scenes.test = choice.test >= 0 ? choice.test : size.test;
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
   options.scenes.seed = choice.seed;
+  options.scenes.tracked = choice.fine == "tracked";
   options.scenes.garment = choice.garment;
   options.scenes.material = choice.material;
   options.workers = choice.workers;
@@ -81,6 +82,9 @@ std::vector<Command> add_dataset(CLI::App& root) {
                    "frames a sequence; small: 150, full: the paper's 400 (draping) or 1,000 (hitting)")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
+  make->add_option("--fine", choice->fine, "the fine cloth follows the coarse one, or goes its own way")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"tracked", "free"}));
   make->add_option("--frames", choice->frames, "frames a sequence, instead of the scale's")->check(positive_number());
   make->add_option("--train", choice->train, "sequences for training (default: 10 or 27)")->check(natural_number());
   make->add_option("--test", choice->test, "sequences for testing (default: 3 or 8)")->check(natural_number());

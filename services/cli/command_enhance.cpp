@@ -117,8 +117,9 @@ std::vector<Command> add_enhance(CLI::App& root) {
   app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
   app->add_option("--model", options->model,
                   "model bundle: a file, or a name in deploy/models (default: the service's)");
-  app->add_option("--obstacle", options->obstacles,
-                  "sphere:X,Y,Z,RADIUS, MESH.obj, or MESH.obj@FRAMES if it moves; may be repeated");
+  app->add_option(
+      "--obstacle", options->obstacles,
+      "sphere:X,Y,Z,RADIUS, capsule:X,Y,Z,X,Y,Z,RADIUS, MESH.obj, or MESH.obj@FRAMES if it moves; may be repeated");
   app->add_option("--fps", options->fps, "frames a second of motion (default: the file's, or 25)")
       ->check(positive_number());
   app->add_option("--count", options->count, "enhance the first COUNT frames only")->check(positive_number());

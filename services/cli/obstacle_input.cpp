@@ -12,18 +12,20 @@
 namespace pleat::cli {
 namespace {
 
-std::array<float, 4> parse_sphere(const std::string& text) {
-  std::array<float, 4> values{};
+/// The numbers after the colon; the last is a radius.
+template <std::size_t kCount>
+std::array<float, kCount> parse_numbers(const std::string& text, const char* form) {
+  std::array<float, kCount> values{};
   const char* at = text.data() + text.find(':') + 1;
   const char* end = text.data() + text.size();
   for (std::size_t i = 0; i < values.size(); ++i) {
     const auto [next, error] = std::from_chars(at, end, values[i]);
     const bool last = i + 1 == values.size();
     if (error != std::errc{} || !std::isfinite(values[i]) || (last ? next != end : next == end || *next != ','))
-      throw_invalid_argument("--obstacle " + text + ": expected sphere:X,Y,Z,RADIUS in metres");
+      throw_invalid_argument("--obstacle " + text + ": expected " + form + " in metres");
     at = next + 1;
   }
-  if (!(values[3] > 0)) throw_invalid_argument("--obstacle " + text + ": the radius must be positive");
+  if (!(values.back() > 0)) throw_invalid_argument("--obstacle " + text + ": the radius must be positive");
   return values;
 }
 
@@ -34,9 +36,15 @@ ObstacleInput::ObstacleInput(const std::vector<std::string>& texts) {
     Obstacle obstacle;
     std::string name = "sphere";
     if (text.starts_with("sphere:")) {
-      const auto [x, y, z, radius] = parse_sphere(text);
+      const auto [x, y, z, radius] = parse_numbers<4>(text, "sphere:X,Y,Z,RADIUS");
       obstacle.rest.center = {x, y, z};
       obstacle.rest.radius = radius;
+    } else if (text.starts_with("capsule:")) {
+      const auto values = parse_numbers<7>(text, "capsule:X,Y,Z,X,Y,Z,RADIUS");
+      name = "capsule";
+      obstacle.shape.capsules = 1;
+      obstacle.rest.capsule_ends = Eigen::Map<const Positions>(values.data(), 2, 3);
+      obstacle.rest.capsule_radii = {values.back()};
     } else {
       const auto at = text.find('@');
       const std::filesystem::path file = text.substr(0, at);

@@ -14,9 +14,10 @@ class ObstacleInput {
  public:
   /// Each text is one of
   ///   sphere:X,Y,Z,RADIUS   metres, at rest
+  ///   capsule:X,Y,Z,X,Y,Z,RADIUS   metres, from end to end, at rest
   ///   MESH.obj              a closed mesh at rest
   ///   MESH.obj@FRAMES       the same, moved: FRAMES as open_frame_sequence, the last frame stays
-  /// Names are the files' or sphere, sphere2, ... Throws kInvalidArgument, kNotFound; the text is named.
+  /// Names are the files' or sphere, sphere2, ..., capsule, ... Throws kInvalidArgument, kNotFound; the text is named.
   explicit ObstacleInput(const std::vector<std::string>& texts);
 
   std::vector<ObstacleShape> shapes() const;

@@ -97,6 +97,7 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   master.frame_time_s = scene.frame_time_s;
   master.time_step_s = scene.frame_time_s / scene.steps_per_frame;
   master.seed = options.scenes.seed;
+  master.tracked = options.scenes.tracked;
   master.git_revision = options.git_revision;
   Subdivision subdivision = subdivide(scene.garment, scene.subdivision_rounds);
   master.topology.coarse = scene.garment;
@@ -115,7 +116,7 @@ std::map<std::string, std::uint64_t> inspect(const GenerateOptions& options, con
   const DatasetReader reader(options.folder);
   const std::string advice = ": begun with other options; remove the folder or choose another";
   if (topology_hash(reader.topology().fine) != topology_hash(master.topology.fine) ||
-      reader.master().seed != master.seed) {
+      reader.master().seed != master.seed || reader.master().tracked != master.tracked) {
     throw Error(ErrorCode::kFailedPrecondition, options.folder.string() + advice);
   }
   for (const SequenceInfo& info : reader.sequences()) {

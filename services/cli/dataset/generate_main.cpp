@@ -16,7 +16,7 @@ using pleat::dataset::Progress;
 constexpr const char* kUsage =
     "usage: pleat-generate FOLDER [--set draping|hitting] [--scale small|full] [--frames N] [--train N] [--test N]\n"
     "                      [--seed N] [--workers N] [--garment OBJ] [--material JSON] [--revision TEXT] "
-    "[--no-deflate]\n"
+    "[--fine tracked|free] [--no-deflate]\n"
     "       pleat-generate --info FOLDER\n"
     "       pleat-generate --verify FOLDER [--stride N]\n";
 
@@ -79,6 +79,10 @@ int run(const std::vector<std::string>& arguments) {
       const std::string& scale = value();
       if (scale != "small" && scale != "full") pleat::throw_invalid_argument("--scale: small or full");
       full = scale == "full";
+    } else if (flag == "--fine") {
+      const std::string& fine = value();
+      if (fine != "tracked" && fine != "free") pleat::throw_invalid_argument("--fine: tracked or free");
+      options.scenes.tracked = fine == "tracked";
     } else if (flag == "--frames") {
       frames = to_number(flag, value());
     } else if (flag == "--train") {

@@ -161,6 +161,7 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
     plan.scene.material = material;
     plan.scene.frames = options.frames;
     plan.scene.seed = options.seed;
+    plan.tracked = options.tracked;
     plan.scene_json = scene_to_json(plan.scene, options.garment, options.material);
     plans.push_back(std::move(plan));
   }

@@ -14,6 +14,7 @@ struct SequencePlan {
   std::string name;
   std::string split;  ///< "train" or "test"
   simulation::Scene scene;
+  bool tracked = true;
   std::string scene_json;  ///< the same as pleat.v1.Scene in protobuf's JSON form
 };
 
@@ -32,6 +33,7 @@ struct SceneOptions {
   int test = 3;                 ///< sequences for testing
   int frames = 150;             ///< per sequence, the initial state included
   std::uint64_t seed = 1;
+  bool tracked = true;             ///< the fine cloth follows the coarse one; false: free fine simulations ([DT-S])
   std::filesystem::path garment;   ///< OBJ with material coordinates
   std::filesystem::path material;  ///< ARCSim-format JSON
 };

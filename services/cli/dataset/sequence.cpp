@@ -24,6 +24,10 @@ fs::path checkpoint_file(const fs::path& folder, const std::string& name) {
   return folder / "sequences" / (name + ".checkpoint");
 }
 
+simulation::Mode mode_of(const SequencePlan& plan) {
+  return plan.tracked ? simulation::Mode::kTrackedFine : simulation::Mode::kFreeFine;
+}
+
 void save_checkpoint(const fs::path& path, const simulation::Simulation& simulation) {
   const std::vector<std::byte> bytes = simulation.checkpoint();
   const fs::path partial = path.string() + ".partial";
@@ -48,7 +52,7 @@ void restore_checkpoint(const fs::path& path, std::uint64_t frames_complete, con
   } catch (const Error&) {
     // Of another scene or damaged: the frames are simulated again, which gives the same bits.
   }
-  simulation = simulation::Simulation(plan.scene, simulation::Mode::kTrackedFine);
+  simulation = simulation::Simulation(plan.scene, mode_of(plan));
 }
 
 }  // namespace
@@ -60,7 +64,7 @@ bool is_finished(const fs::path& folder, const std::string& name) {
 
 SequenceReport make_sequence(const fs::path& folder, const SequencePlan& plan, bool deflate,
                              const std::function<void(std::uint64_t)>& on_frame) {
-  simulation::Simulation simulation(plan.scene, simulation::Mode::kTrackedFine);
+  simulation::Simulation simulation(plan.scene, mode_of(plan));
   SequenceOptions options;
   options.name = plan.name;
   options.split = plan.split;

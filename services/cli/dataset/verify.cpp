@@ -109,7 +109,8 @@ class Verifier {
         ++distances_;
       }
       report_.feature_distance_max_m = std::max(report_.feature_distance_max_m, largest);
-      if (largest > limit) problem(where + ": a feature vertex is " + std::to_string(largest) + " m off");
+      if (reader_.master().tracked && largest > limit)
+        problem(where + ": a feature vertex is " + std::to_string(largest) + " m off");
       if (k % options_.stride == 0) judge(info, k, where, coarse, fine);
     }
   }

@@ -42,6 +42,18 @@ TEST_F(ObstacleInputTest, ReadsSpheresWithNamesOfTheirOwn) {
   EXPECT_EQ(frame[1].name, "sphere2");
 }
 
+TEST_F(ObstacleInputTest, ReadsCapsules) {
+  const ObstacleInput input({"capsule:0,-0.5,1e-1,1,2,3,0.25"});
+  ASSERT_EQ(input.shapes().size(), 1u);
+  EXPECT_EQ(input.shapes()[0].name, "capsule");
+  EXPECT_EQ(input.shapes()[0].capsules, 1u);
+  const auto frame = input.at(3);
+  ASSERT_EQ(frame[0].capsule_ends.rows(), 2);
+  EXPECT_EQ(frame[0].capsule_ends.row(0), Eigen::RowVector3f(0, -0.5f, 0.1f));
+  EXPECT_EQ(frame[0].capsule_ends.row(1), Eigen::RowVector3f(1, 2, 3));
+  EXPECT_EQ(frame[0].capsule_radii, std::vector<float>{0.25f});
+}
+
 TEST_F(ObstacleInputTest, ReadsAMeshAtRestAndAMovedOne) {
   const std::string body = (folder_ / "body0.obj").string();
   const ObstacleInput input({body, body + "@" + (folder_ / "body*.obj").string()});
@@ -54,8 +66,9 @@ TEST_F(ObstacleInputTest, ReadsAMeshAtRestAndAMovedOne) {
 }
 
 TEST_F(ObstacleInputTest, NamesWhatIsWrong) {
-  for (const char* text : {"sphere:", "sphere:1,2,3", "sphere:1,2,3,0", "sphere:1,2,3,-1", "sphere:1,2,3,4,5",
-                           "sphere:nan,0,0,1", "sphere:1 2 3 4", "none.obj"}) {
+  for (const char* text :
+       {"sphere:", "sphere:1,2,3", "sphere:1,2,3,0", "sphere:1,2,3,-1", "sphere:1,2,3,4,5", "sphere:nan,0,0,1",
+        "capsule:0,0,0,1", "capsule:0,0,0,1,1,1,0", "sphere:1 2 3 4", "none.obj"}) {
     try {
       const ObstacleInput input({text});
       ADD_FAILURE() << "accepted " << text;

@@ -114,6 +114,34 @@ TEST_F(SmallSet, HittingKeepsASizeAndPlacesForTheTestSplit) {
   EXPECT_GE(seen_places, 1u);
 }
 
+TEST_F(SmallSet, FreeFineSimulationsGoTheirOwnWay) {
+  options.scenes.train = options.scenes.test = 1;
+  options.scenes.frames = 12;
+  const auto distance = [&](const std::filesystem::path& folder) {
+    const DatasetReader reader(folder);
+    double sum = 0;
+    for (const SequenceInfo& info : reader.sequences()) {
+      const Positions coarse = reader.coarse(info.name, 11, 12)[0], fine = reader.fine(info.name, 11, 12)[0];
+      for (std::size_t i = 0; i < reader.topology().feature_vertices.size(); ++i) {
+        sum += static_cast<double>(
+            (fine.row(reader.topology().feature_vertices[i]) - coarse.row(static_cast<Eigen::Index>(i))).norm());
+      }
+    }
+    return sum;
+  };
+  const std::filesystem::path tracked = root / "tracked", free = root / "free";
+  options.folder = tracked;
+  generate(options, [](const Progress&) {});
+  options.folder = free;
+  options.scenes.tracked = false;
+  generate(options, [](const Progress&) {});
+  EXPECT_TRUE(DatasetReader(tracked).master().tracked);
+  EXPECT_FALSE(DatasetReader(free).master().tracked);
+  EXPECT_GT(distance(free), 2 * distance(tracked));
+  options.scenes.tracked = true;
+  EXPECT_THROW(generate(options, [](const Progress&) {}), Error) << "one folder, one kind";
+}
+
 TEST_F(SmallSet, MakesWhatWasPlanned) {
   Progress last;
   generate(options, [&](const Progress& progress) { last = progress; });
