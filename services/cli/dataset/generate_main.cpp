@@ -41,8 +41,10 @@ void print(const Progress& progress) {
 }
 
 int verify(const std::string& folder, int stride) {
-  const auto report = pleat::dataset::verify(folder, {static_cast<std::uint64_t>(stride)},
-                                             [](const std::string& line) { std::printf("%s\n", line.c_str()); });
+  const auto report = pleat::dataset::verify(folder, {static_cast<std::uint64_t>(stride)}, [](const std::string& line) {
+    std::printf("%s\n", line.c_str());
+    std::fflush(stdout);
+  });
   for (const std::string& problem : report.problems) std::printf("problem: %s\n", problem.c_str());
   std::printf(
       "%llu sequences, %llu frames, %llu judged: %llu self-intersections, %llu penetrations; feature vertices "
