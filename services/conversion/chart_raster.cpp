@@ -348,7 +348,7 @@ Vec2 recover_material_scale(const Topology& t) {
     along_u.emplace_back(((u2.y() * x1 - u1.y() * x2) / area).norm(), std::abs(area));
     along_v.emplace_back(((u1.x() * x2 - u2.x() * x1) / area).norm(), std::abs(area));
   }
-  const Vec2 scale(weighted_median(along_u), weighted_median(along_v));
+  Vec2 scale(weighted_median(along_u), weighted_median(along_v));
   constexpr double kMetres = 0.1;
   if (((scale.array() - 1).abs() < kMetres).all() || !(scale.minCoeff() > 0)) return Vec2::Ones();
   return scale;
