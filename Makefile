@@ -11,7 +11,10 @@ SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 PACKAGES := $(shell sed -n '/^[^#]/p' cmake/packages.txt)
 SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 
-.PHONY: help setup configure build programs demo test bench lint format sanitize clean compose-demo dataset model viewer proto-descriptor
+FUZZ_SECONDS ?= 120
+FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_refine
+
+.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz clean compose-demo dataset model viewer proto-descriptor
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,6 +70,17 @@ format: setup ## format all sources in place
 sanitize: setup ## build with address and undefined-behaviour sanitizers and run the tests under them
 	@cmake --preset asan-ubsan >/dev/null && cmake --build --preset asan-ubsan -j $(JOBS)
 	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 ctest --test-dir build-asan --output-on-failure -LE 'browser|bench'
+
+fuzz: setup ## fuzz the inputs of conversion and refinement, FUZZ_SECONDS each (tests/fuzz/README.md)
+	@$(MAKE) --no-print-directory setup PACKAGES="clang libclang-rt-14-dev"
+	@cmake --preset fuzz >build-fuzz-configure.log 2>&1 || { cat build-fuzz-configure.log; exit 1; }; rm -f build-fuzz-configure.log
+	@cmake --build build-fuzz -j $(JOBS) --target $(FUZZERS)
+	@for f in $(FUZZERS); do \
+	  seeds=tests/fuzz/corpus/$${f#fuzz_}; found=build-fuzz/corpus/$${f#fuzz_}; mkdir -p $$found; \
+	  echo "fuzz: $$f for $(FUZZ_SECONDS) s"; \
+	  build-fuzz/bin/$$f -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=2048 -max_len=60000 -print_final_stats=1 \
+	    -verbosity=0 -close_fd_mask=1 -artifact_prefix=build-fuzz/ $$found $$seeds; \
+	done; echo "fuzz: nothing found"
 
 compose-demo: ## build the container images and run the demo job against them
 	@docker/compose-demo.sh $(OUT)/compose-demo
