@@ -15,8 +15,10 @@
 namespace pleat {
 namespace {
 
-// More intersecting pairs than this are no wrinkles gone astray: the whole mesh is one zone then.
+// Pairs are counted up to here.
 constexpr std::size_t kMaxPairs = 50'000;
+// More than one intersecting pair for so many faces are no wrinkles gone astray: the whole mesh gets one weight then.
+constexpr std::size_t kFacesPerPair = 2;
 // Searches while weights are lowered. Every one of them lowers something, so that this is not endless anyway.
 constexpr std::size_t kMaxSearches = 200;
 
@@ -92,12 +94,12 @@ struct Refiner::State {
     return coarse_finder.find(coarse, 0, offences.pairs);
   }
 
-  // All offences of fine positions.
-  void find(const Positions& positions) {
+  // All offences of fine positions, but pairs only up to a limit.
+  void find(const Positions& positions, std::size_t limit = kMaxPairs) {
     fine_finder.update(positions);
     fine_contacts.update(positions, field, fine_finder);
     fine_contacts.find_penetrations(positions, field, fine_finder, offences.penetrations);
-    offences.all_pairs = fine_finder.find(positions, kMaxPairs, offences.pairs);
+    offences.all_pairs = fine_finder.find(positions, limit, offences.pairs);
   }
   // The same after the vertices of these patches moved.
   void find_again(const Positions& positions, std::span<const std::uint32_t> patches) {
@@ -117,7 +119,8 @@ struct Refiner::State {
 // Lowers the weights of what offends until nothing does, nothing can be lowered, or it takes too long.
 void Refiner::State::lower_weights(Positions& positions) {
   const float step = std::ldexp(1.f, -options.bisections);
-  for (searches = 0; !offences.none() && offences.all_pairs && searches < kMaxSearches; ++searches) {
+  const std::size_t hopeless = static_cast<std::size_t>(subdivision.fine.face_count()) / kFacesPerPair;
+  for (searches = 0; !offences.none() && offences.pairs.size() <= hopeless && searches < kMaxSearches; ++searches) {
     faces.assign(offences.penetrations.begin(), offences.penetrations.end());
     for (const FacePair& pair : offences.pairs) faces.insert(faces.end(), pair.begin(), pair.end());
     if (!zones.lower(faces, step, positions)) break;
@@ -132,8 +135,8 @@ void Refiner::State::blend_all(Positions& positions) {
     const float middle = 0.5f * (clean + unclean);
     zones.set_all(middle, positions);
     ++searches;
-    find(positions);
-    (offences.none() ? clean : unclean) = middle;
+    find(positions, 0);
+    (offences.none() && offences.all_pairs ? clean : unclean) = middle;
   }
   zones.set_all(clean, positions);
   find(positions);

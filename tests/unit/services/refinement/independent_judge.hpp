@@ -27,7 +27,34 @@ inline Cgal::Point_3 cgal_point(const Positions& x, std::uint32_t v) {
   return {static_cast<double>(x(v, 0)), static_cast<double>(x(v, 1)), static_cast<double>(x(v, 2))};
 }
 
-/// As documented in judge.hpp, for faces with area.
+/// A face as CGAL has it: a triangle, or the segment or point that a face without area is.
+struct CgalFace {
+  std::vector<Cgal::Point_3> corners;  ///< 3, 2 or 1
+
+  static CgalFace of(std::vector<Cgal::Point_3> p) {
+    if (p.size() == 3 && !CGAL::collinear(p[0], p[1], p[2])) return {p};
+    const auto [low, high] = std::minmax_element(
+        p.begin(), p.end(), [](const auto& a, const auto& b) { return CGAL::lexicographically_xyz_smaller(a, b); });
+    if (*low == *high) return {{*low}};
+    return {{*low, *high}};
+  }
+  Cgal::Triangle_3 triangle() const { return {corners[0], corners[1], corners[2]}; }
+  Cgal::Segment_3 segment() const { return {corners[0], corners[1]}; }
+};
+
+inline bool meet(const CgalFace& a, const CgalFace& b) {
+  if (a.corners.size() < b.corners.size()) return meet(b, a);
+  if (a.corners.size() == 3) {
+    if (b.corners.size() == 3) return CGAL::do_intersect(a.triangle(), b.triangle());
+    if (b.corners.size() == 2) return CGAL::do_intersect(a.triangle(), b.segment());
+    return a.triangle().has_on(b.corners[0]);
+  }
+  if (a.corners.size() == 1) return a.corners[0] == b.corners[0];
+  if (b.corners.size() == 1) return a.segment().has_on(b.corners[0]);
+  return CGAL::do_intersect(a.segment(), b.segment());
+}
+
+/// As documented in judge.hpp and triangle_intersection.hpp.
 inline bool intersect(const Positions& x, const Faces& faces, std::uint32_t f, std::uint32_t g) {
   std::vector<std::uint32_t> common, f_own, g_own;
   for (int k = 0; k < 3; ++k) {
@@ -36,16 +63,17 @@ inline bool intersect(const Positions& x, const Faces& faces, std::uint32_t f, s
     ((row.array() == v).any() ? common : f_own).push_back(v);
     if (!(faces.row(f).array() == w).any()) g_own.push_back(w);
   }
-  const auto triangle = [&](std::uint32_t face) {
-    return Cgal::Triangle_3(cgal_point(x, faces(face, 0)), cgal_point(x, faces(face, 1)),
-                            cgal_point(x, faces(face, 2)));
+  const auto face = [&](std::uint32_t i) {
+    return CgalFace::of({cgal_point(x, faces(i, 0)), cgal_point(x, faces(i, 1)), cgal_point(x, faces(i, 2))});
   };
-  if (triangle(f).is_degenerate() || triangle(g).is_degenerate()) return faces_intersect(x, faces, f, g);
-  if (common.empty()) return CGAL::do_intersect(triangle(f), triangle(g));
-  if (common.size() == 1) {
-    return CGAL::do_intersect(Cgal::Segment_3(cgal_point(x, f_own[0]), cgal_point(x, f_own[1])), triangle(g)) ||
-           CGAL::do_intersect(Cgal::Segment_3(cgal_point(x, g_own[0]), cgal_point(x, g_own[1])), triangle(f));
-  }
+  const auto edge = [&](const std::vector<std::uint32_t>& ends) {
+    return CgalFace::of({cgal_point(x, ends[0]), cgal_point(x, ends[1])});
+  };
+  if (common.empty()) return meet(face(f), face(g));
+  if (common.size() == 1) return meet(edge(f_own), face(g)) || meet(edge(g_own), face(f));
+  if (common.size() == 3) return true;
+  const bool f_flat = face(f).corners.size() < 3, g_flat = face(g).corners.size() < 3;
+  if (f_flat || g_flat) return f_flat && g_flat;
   const Cgal::Point_3 u = cgal_point(x, common[0]), v = cgal_point(x, common[1]);
   const Cgal::Point_3 p = cgal_point(x, f_own[0]), q = cgal_point(x, g_own[0]);
   return CGAL::coplanar(u, v, p, q) && CGAL::coplanar_orientation(u, v, p, q) == CGAL::POSITIVE;
@@ -55,6 +83,17 @@ inline bool intersect(const Positions& x, const Faces& faces, std::uint32_t f, s
   return faces_intersect(x, faces, f, g);
 }
 #endif
+
+/// All pairs, each asked for.
+inline std::vector<std::array<std::uint32_t, 2>> all_self_intersections(const Positions& x, const Faces& faces) {
+  std::vector<std::array<std::uint32_t, 2>> pairs;
+  for (std::uint32_t f = 0; f < static_cast<std::uint32_t>(faces.rows()); ++f) {
+    for (std::uint32_t g = f + 1; g < static_cast<std::uint32_t>(faces.rows()); ++g) {
+      if (intersect(x, faces, f, g)) pairs.push_back({f, g});
+    }
+  }
+  return pairs;
+}
 
 /// All pairs by a sweep along x.
 inline std::vector<std::array<std::uint32_t, 2>> sweep_self_intersections(const Positions& x, const Faces& faces) {

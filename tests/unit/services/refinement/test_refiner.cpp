@@ -286,6 +286,30 @@ TEST(Refiner, ACoarseInputThatIntersectsIsReportedAndNotMadeWorse) {
   }
 }
 
+TEST(Refiner, ACoarseInputInsideAnObstacleIsReportedAndNotMadeWorse) {
+  const Cloth cloth = load_cloth("tablecloth");
+  const Positions coarse = test::wavy(cloth.coarse.rest_positions);
+  const Positions upsampled = upsample(cloth.subdivision, cloth.coarse.faces, coarse);
+  Refiner refiner(cloth.coarse, cloth.subdivision, {});
+  // A ball around a vertex of the coarse mesh, alone and squeezed between two that leave no room.
+  const Eigen::Vector3f center = coarse.row(300);
+  const std::vector<ObstacleFrame> one{test::sphere("ball", center, 0.1f)};
+  std::vector<ObstacleFrame> three = one;
+  three.push_back(test::sphere("above", center + Eigen::Vector3f(0, 0.15f, 0), 0.12f));
+  three.push_back(test::sphere("below", center - Eigen::Vector3f(0, 0.15f, 0), 0.12f));
+  for (const auto& obstacles : {one, three}) {
+    const Positions fine = upsampled + test::noise(upsampled.rows(), 0.002f, 11);
+    const RefinedMesh result = refiner.refine(coarse, fine, obstacles);
+    EXPECT_TRUE(result.report.input_intersects);
+    EXPECT_GT(result.report.penetrations_before, 0u);
+    EXPECT_LE(result.report.penetrations_after + result.report.pairs_after,
+              result.report.penetrations_before + result.report.pairs_before);
+    EXPECT_EQ(result.report.penetrations_after,
+              count_penetrations(result.positions, cloth.fine().faces, {}, obstacles));
+    EXPECT_EQ(result.report.pairs_after, count_self_intersections(result.positions, cloth.fine().faces));
+  }
+}
+
 // A frame may be sent again, or to a replica that has not seen the earlier ones.
 TEST(Refiner, FramesAreIndependentAndThreadsDoNotMatter) {
   const Cloth cloth = load_cloth("tablecloth");
