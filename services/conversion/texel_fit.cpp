@@ -7,6 +7,8 @@ namespace {
 
 // E^2 inside charts and at their rims.
 constexpr double kEpsilon = 1e-8, kRimEpsilon = 1e-4;
+// Further solves for what the penalties have pulled the reads off.
+constexpr int kCorrections = 1;
 using Triplets = std::vector<Eigen::Triplet<double, int>>;
 
 // Rows 1, -2, 1 over three neighbouring texels of one chart.
@@ -48,18 +50,18 @@ TexelFit::TexelFit(const Topology& topology, const TexelGrid& grid, const ChartR
   }
   const int count = static_cast<int>(texels_.size());
 
-  std::vector<std::uint32_t> vertex_of(static_cast<std::size_t>(topology.uv.rows()), kNone);
+  vertex_of_.assign(static_cast<std::size_t>(topology.uv.rows()), kNone);
   for (Eigen::Index f = 0; f < topology.face_count(); ++f) {
-    for (int k = 0; k < 3; ++k) vertex_of[topology.uv_faces(f, k)] = topology.faces(f, k);
+    for (int k = 0; k < 3; ++k) vertex_of_[topology.uv_faces(f, k)] = topology.faces(f, k);
   }
   Triplets reads, right;
-  for (std::size_t u = 0; u < vertex_of.size(); ++u) {
-    if (vertex_of[u] == kNone) continue;
+  for (std::size_t u = 0; u < vertex_of_.size(); ++u) {
+    if (vertex_of_[u] == kNone) continue;
     for (std::size_t i = 0; i < 4; ++i) {
       const double weight = static_cast<double>(raster.reads[u].weight[i]);
       if (weight == 0) continue;
       reads.emplace_back(static_cast<int>(u), unknown[raster.reads[u].texel[i]], weight);
-      right.emplace_back(unknown[raster.reads[u].texel[i]], static_cast<int>(vertex_of[u]), weight);
+      right.emplace_back(unknown[raster.reads[u].texel[i]], static_cast<int>(vertex_of_[u]), weight);
     }
   }
   Eigen::VectorXd epsilon(count);
@@ -77,18 +79,27 @@ TexelFit::TexelFit(const Topology& topology, const TexelGrid& grid, const ChartR
   Triplets differences;
   int rows = 0;
   add_second_differences(grid, raster, unknown, differences, rows);
-  const Eigen::SparseMatrix<double> a = make_sparse(static_cast<int>(topology.uv.rows()), count, reads);
+  reads_ = make_sparse(static_cast<int>(topology.uv.rows()), count, reads);
   const Eigen::SparseMatrix<double> d = make_sparse(rows, count, differences);
   Eigen::SparseMatrix<double> e_part(count, count);
   e_part.setIdentity();
   e_part = epsilon.asDiagonal() * e_part;
-  const Eigen::SparseMatrix<double> a_part = a.transpose() * a;
+  const Eigen::SparseMatrix<double> a_part = reads_.transpose() * reads_;
   const Eigen::SparseMatrix<double> d_part = d.transpose() * d;
   factor_ = std::make_unique<SparseCholesky>(a_part + lambda * d_part + e_part);
 }
 
 Eigen::MatrixXd TexelFit::solve(const Eigen::MatrixXd& vertex_values) const {
-  return factor_->solve(right_ * vertex_values);
+  Eigen::MatrixXd texels = factor_->solve(right_ * vertex_values);
+  for (int i = 0; i < kCorrections; ++i) {
+    // The reads of the vertices that the penalties have pulled off.
+    Eigen::MatrixXd missing = -(reads_ * texels);
+    for (std::size_t u = 0; u < vertex_of_.size(); ++u) {
+      if (vertex_of_[u] != kNone) missing.row(static_cast<Eigen::Index>(u)) += vertex_values.row(vertex_of_[u]);
+    }
+    texels += factor_->solve(reads_.transpose() * missing);
+  }
+  return texels;
 }
 
 }  // namespace pleat

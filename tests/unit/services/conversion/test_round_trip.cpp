@@ -23,8 +23,8 @@ struct Case {
 class RoundTrip : public testing::TestWithParam<Case> {};
 INSTANTIATE_TEST_SUITE_P(All, RoundTrip,
                          testing::Values(Case{"tablecloth", FineImageMethod::kFitted, 1.4, 2.7e-5, 7e-4},
-                                         Case{"tablecloth", FineImageMethod::kFitted, 2, 2e-5, 1e-3},
-                                         Case{"tablecloth", FineImageMethod::kFitted, 3, 1e-6, 1e-4},
+                                         Case{"tablecloth", FineImageMethod::kFitted, 2, 3e-7, 1e-5},
+                                         Case{"tablecloth", FineImageMethod::kFitted, 3, 3e-7, 3e-6},
                                          Case{"skirt", FineImageMethod::kFitted, 2, 2e-5, 1e-3},
                                          Case{"skirt", FineImageMethod::kFitted, 3, 1e-6, 1e-4},
                                          Case{"four charts", FineImageMethod::kFitted, 3, 1e-6, 1e-4},
