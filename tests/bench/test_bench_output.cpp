@@ -1,11 +1,11 @@
 // The shape of `pleat bench NAME --json`, which scripts depend on. Times are measured, never judged.
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/cli/executable.hpp"
 
 namespace pleat::cli::test {
@@ -14,10 +14,8 @@ namespace {
 using nlohmann::json;
 
 json bench(const std::string& name) {
-  const auto stem = std::filesystem::temp_directory_path() / ("pleat-bench-" + name + std::to_string(::getpid()));
-  const Outcome outcome = run(built("pleat"), {"bench", name, "--json", "--frames", "2"}, stem);
-  std::filesystem::remove(stem.string() + ".out");
-  std::filesystem::remove(stem.string() + ".err");
+  const pleat::test::TemporaryFolder folder;
+  const Outcome outcome = run(built("pleat"), {"bench", name, "--json", "--frames", "2"}, folder.path() / "bench");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.err;
   return json::parse(outcome.out);
 }

@@ -1,6 +1,5 @@
 #include "tests/support/fake_stages.hpp"
 
-#include <unistd.h>
 
 #include <cmath>
 #include <cstring>
@@ -322,17 +321,6 @@ void FakeService::start() {
 void FakeService::stop() {
   if (server_) server_->Shutdown(std::chrono::system_clock::now());
   server_.reset();
-}
-
-TemporaryFolder::TemporaryFolder() {
-  std::string name = (std::filesystem::temp_directory_path() / "pleat-test-XXXXXX").string();
-  if (mkdtemp(name.data()) == nullptr) throw std::runtime_error("no temporary folder");
-  path_ = name;
-}
-
-TemporaryFolder::~TemporaryFolder() {
-  std::error_code ignored;
-  std::filesystem::remove_all(path_, ignored);
 }
 
 FakeStages::FakeStages() {

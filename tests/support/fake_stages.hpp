@@ -17,6 +17,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "pleat/v1/common.pb.h"
 #include "pleat/v1/scene.pb.h"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::testing {
 
@@ -75,19 +76,6 @@ class FakeService {
   std::unique_ptr<grpc::Server> server_;
 };
 
-/// A folder that is removed at the end.
-class TemporaryFolder {
- public:
-  TemporaryFolder();
-  ~TemporaryFolder();
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-  const std::filesystem::path& path() const { return path_; }
-
- private:
-  std::filesystem::path path_;
-};
-
 /// All four, started. Numbered sockets allow for replicas.
 class FakeStages {
  public:
@@ -104,7 +92,7 @@ class FakeStages {
   const std::filesystem::path& folder() const { return folder_.path(); }
 
  private:
-  TemporaryFolder folder_;
+  test::TemporaryFolder folder_;
   std::unique_ptr<FakeService> simulation_, conversion_, superres_, refinement_;
   std::vector<std::unique_ptr<FakeService>> more_;
 };

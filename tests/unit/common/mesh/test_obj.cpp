@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat {
 namespace {
@@ -129,10 +130,10 @@ TEST(Obj, RandomBytesNeverCrash) {
 
 TEST(Obj, WritingAndReadingGivesTheSameBits) {
   const Topology t = read_obj(std::filesystem::path("deploy/garments/skirt.obj"));
-  const auto path = std::filesystem::temp_directory_path() / "pleat_test_obj.obj";
+  const test::TemporaryFolder folder;
+  const auto path = folder.path() / "skirt.obj";
   write_obj(path, t);
   const Topology again = read_obj(path);
-  std::filesystem::remove(path);
   EXPECT_EQ(topology_hash(again), topology_hash(t));
   EXPECT_THROW(write_obj("/nonexistent/x.obj", t), Error);
   EXPECT_THROW(write_obj(path, t, t.rest_positions.topRows(3)), Error);

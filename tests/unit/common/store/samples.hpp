@@ -1,8 +1,7 @@
-// Small meshes, frames and folders for the tests of the store.
+// Small meshes and frames for the tests of the store.
 #pragma once
 
 #include <gtest/gtest.h>
-#include <stdlib.h>
 
 #include <cmath>
 #include <filesystem>
@@ -12,27 +11,11 @@
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "common/store/result.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::testing_store {
 
-/// A fresh folder, removed at the end.
-class Folder {
- public:
-  Folder() {
-    std::string pattern = (std::filesystem::temp_directory_path() / ("pleat-store-" + std::string(6, 'X'))).string();
-    path_ = mkdtemp(pattern.data());
-  }
-  ~Folder() {
-    std::error_code error;
-    std::filesystem::remove_all(path_, error);
-  }
-  Folder(const Folder&) = delete;
-  Folder& operator=(const Folder&) = delete;
-  const std::filesystem::path& path() const { return path_; }
-
- private:
-  std::filesystem::path path_;
-};
+using test::TemporaryFolder;
 
 /// A grid of n x n squares, one metre wide, with material coordinates.
 inline MeshPair sample_meshes(int n = 2) {

@@ -29,7 +29,7 @@ constexpr std::uint64_t kFrames = 2000;
 }
 
 TEST(Crash, KillLosesNoCompleteFrame) {
-  const Folder folder;
+  const TemporaryFolder folder;
   const MeshPair meshes = sample_meshes();
   write_dataset_master(folder.path(), sample_master(meshes, {"a"}));
   std::uint64_t reported = 0;
@@ -66,7 +66,7 @@ TEST(Crash, KillLosesNoCompleteFrame) {
 }
 
 TEST(Crash, AFullDiskKeepsTheCompleteFrames) {
-  const Folder folder;
+  const TemporaryFolder folder;
   const MeshPair meshes = sample_meshes(8);
   write_dataset_master(folder.path(), sample_master(meshes, {"a"}));
   const pid_t child = fork();
@@ -111,7 +111,7 @@ TEST(Crash, AFullDiskKeepsTheCompleteFrames) {
 }
 
 TEST(Crash, AFullDiskAtTheStartIsNamed) {
-  const Folder folder;
+  const TemporaryFolder folder;
   const MeshPair meshes = sample_meshes();
   const pid_t child = fork();
   ASSERT_GE(child, 0);

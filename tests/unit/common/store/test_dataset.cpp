@@ -20,7 +20,7 @@ class Dataset : public ::testing::Test {
   }
   std::filesystem::path sequence_file(const std::string& name) { return folder.path() / "sequences" / (name + ".h5"); }
 
-  Folder folder;
+  TemporaryFolder folder;
   MeshPair meshes = sample_meshes();
 };
 

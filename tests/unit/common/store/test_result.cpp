@@ -36,7 +36,7 @@ class Result : public ::testing::Test {
     return result;
   }
 
-  Folder folder;
+  TemporaryFolder folder;
   MeshPair meshes = sample_meshes();
   std::filesystem::path path = folder.path() / "out" / "result.h5";
 };

@@ -1,12 +1,12 @@
 // Every command with input that is wrong: the exit code is right, and one line on stderr names the cause.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <cstdint>
 #include <fstream>
 #include <functional>
 
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/cli/executable.hpp"
 
 namespace pleat::cli::test {
@@ -35,9 +35,8 @@ void PrintTo(const Case& test, std::ostream* out) { *out << test.name; }
 class BadInput : public testing::TestWithParam<Case> {};
 
 TEST_P(BadInput, IsNamedInOneLine) {
-  std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
-  ASSERT_NE(::mkdtemp(name.data()), nullptr);
-  const fs::path folder = name;
+  const pleat::test::TemporaryFolder temporary;
+  const fs::path& folder = temporary.path();
   const Case& test = GetParam();
   std::map<std::string, std::string> files = {
       {"cloth.obj", kGarment}, {"material.json", "{}"}, {"models/draping.pt", "x"}, {"file", "x"}};
@@ -52,7 +51,6 @@ TEST_P(BadInput, IsNamedInOneLine) {
       argument.replace(at, 1, folder.string());
   const Outcome outcome =
       run(built("pleat"), arguments, folder / "outcome", {{"PLEAT_MODELS", (folder / "models").string()}});
-  fs::remove_all(folder);
   EXPECT_EQ(outcome.exit_code, test.exit_code) << outcome.err;
   ASSERT_EQ(outcome.error_lines().size(), 1u) << outcome.err;
   EXPECT_THAT(outcome.err, testing::StartsWith("pleat: "));
@@ -222,16 +220,14 @@ INSTANTIATE_TEST_SUITE_P(Commands, BadInput, testing::ValuesIn(kCases),
                          [](const auto& info) { return std::string(info.param.name); });
 
 TEST(GoodUsage, HelpAndVersionGoToStandardOutput) {
-  const fs::path stem = fs::temp_directory_path() / ("pleat-usage-" + std::to_string(::getpid()));
+  const pleat::test::TemporaryFolder temporary;
   for (const std::vector<std::string>& arguments :
        std::vector<std::vector<std::string>>{{"--help"}, {"--version"}, {"run", "--help"}, {"dataset", "--help"}}) {
-    const Outcome outcome = run(built("pleat"), arguments, stem);
+    const Outcome outcome = run(built("pleat"), arguments, temporary.path() / "usage");
     EXPECT_EQ(outcome.exit_code, 0);
     EXPECT_FALSE(outcome.out.empty());
     EXPECT_TRUE(outcome.err.empty()) << outcome.err;
   }
-  fs::remove(stem.string() + ".out");
-  fs::remove(stem.string() + ".err");
 }
 
 }  // namespace

@@ -3,11 +3,11 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include "common/base/error.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "services/cli/median.hpp"
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/cli/executable.hpp"
 
 namespace pleat::cli {
@@ -44,9 +44,6 @@ Topology sheet() {
 class Evaluation : public testing::Test {
  protected:
   void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder_ = name;
     const Topology coarse = sheet();
     const Subdivision subdivision = subdivide(coarse, 2);
     DatasetMaster master;
@@ -85,9 +82,9 @@ class Evaluation : public testing::Test {
       writer.finish();
     }
   }
-  void TearDown() override { fs::remove_all(folder_); }
 
-  fs::path folder_;
+  const pleat::test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
 };
 
 TEST_F(Evaluation, OfTheBaselineOnTheTestSplit) {

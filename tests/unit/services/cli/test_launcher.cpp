@@ -10,6 +10,7 @@
 #include <fstream>
 #include <thread>
 
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/cli/executable.hpp"
 
 namespace pleat::cli::test {
@@ -21,9 +22,6 @@ using testing::HasSubstr;
 class LauncherTest : public testing::Test {
  protected:
   void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder_ = name;
     fs::create_directories(folder_ / "bin");
     fs::create_directories(folder_ / "run");
     fs::create_directories(folder_ / "models");
@@ -32,7 +30,6 @@ class LauncherTest : public testing::Test {
     for (const char* service : {"simulation", "conversion", "superres", "refinement", "coordinator"})
       fs::create_symlink(fake, folder_ / "bin" / (std::string("pleat-") + service));
   }
-  void TearDown() override { fs::remove_all(folder_); }
 
   std::vector<std::string> up(const std::vector<std::string>& more = {}) const {
     std::vector<std::string> arguments{"up", "--data", (folder_ / "data").string(), "--models",
@@ -53,7 +50,8 @@ class LauncherTest : public testing::Test {
     EXPECT_TRUE(processes_with(folder_.string()).empty());
   }
 
-  fs::path folder_;
+  const pleat::test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
 };
 
 TEST_F(LauncherTest, StartsFiveServicesAndStopsThemOnInterrupt) {

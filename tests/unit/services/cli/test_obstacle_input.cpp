@@ -3,12 +3,12 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <filesystem>
 #include <fstream>
 
 #include "common/base/error.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -18,17 +18,14 @@ namespace fs = std::filesystem;
 class ObstacleInputTest : public testing::Test {
  protected:
   void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder_ = name;
     for (const int k : {0, 1}) {
       std::ofstream(folder_ / ("body" + std::to_string(k) + ".obj"))
           << "v 0 " << k << " 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
     }
   }
-  void TearDown() override { fs::remove_all(folder_); }
 
-  fs::path folder_;
+  const pleat::test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
 };
 
 TEST_F(ObstacleInputTest, ReadsSpheresWithNamesOfTheirOwn) {

@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "common/base/error.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -22,15 +23,8 @@ using Clock = std::chrono::steady_clock;
 
 class ProcessTest : public testing::Test {
  protected:
-  void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder_ = name;
-    log_ = folder_ / "child.log";
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
-  fs::path folder_, log_;
+  const pleat::test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path(), log_ = folder_ / "child.log";
 };
 
 TEST_F(ProcessTest, CollectsOutputAndExitCode) {

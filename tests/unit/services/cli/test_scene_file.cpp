@@ -3,7 +3,6 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <cmath>
 #include <fstream>
@@ -11,6 +10,7 @@
 
 #include "common/base/error.hpp"
 #include "common/store/hdf5.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -21,16 +21,12 @@ using nlohmann::json;
 class SceneFile : public testing::Test {
  protected:
   void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder_ = name;
     std::ofstream(folder_ / "cloth.obj") << "v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n"
                                             "f 1/1 2/2 3/3\nf 2/2 4/4 3/3\n";
     std::ofstream(folder_ / "material.json") << R"({"density": 0.2})";
     std::ofstream(folder_ / "ball.obj") << "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
     scene_ = {{"name", "fall"}, {"garment_file", "cloth.obj"}, {"material_file", "material.json"}, {"frames", 3}};
   }
-  void TearDown() override { fs::remove_all(folder_); }
 
   v1::Scene parse(const json& scene) const { return parse_scene(scene.dump(), "fall.json", folder_); }
 
@@ -46,7 +42,8 @@ class SceneFile : public testing::Test {
     }
   }
 
-  fs::path folder_;
+  const pleat::test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
   json scene_;
 };
 

@@ -3,7 +3,6 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <cmath>
 #include <cstring>
@@ -14,6 +13,7 @@
 #include "common/mesh/obj.hpp"
 #include "common/store/dataset.hpp"
 #include "common/store/result.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat {
 namespace {
@@ -34,13 +34,6 @@ Topology two_triangles() {
 
 class SequenceInput : public testing::Test {
  protected:
-  void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "pleat-test-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder_ = name;
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
   Positions frame(int k) const {
     Positions p = rest_.rest_positions;
     p.col(1).array() += static_cast<float>(k);
@@ -74,7 +67,8 @@ class SequenceInput : public testing::Test {
     }
   }
 
-  fs::path folder_;
+  const pleat::test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
   Topology rest_ = two_triangles();
 };
 

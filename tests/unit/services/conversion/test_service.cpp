@@ -2,7 +2,6 @@
 #include "services/conversion/service.hpp"
 
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <limits>
 #include <memory>
@@ -13,6 +12,7 @@
 #include "common/rpc/stream.hpp"
 #include "services/conversion/image_map.hpp"
 #include "services/conversion/normalization.hpp"
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
 namespace pleat::conversion {
@@ -25,7 +25,7 @@ class ConversionServer : public testing::Test {
  protected:
   ConversionServer() {
     rpc::ServerOptions options;
-    options.listen = "unix:" + testing::TempDir() + "pleat_conversion_" + std::to_string(getpid()) + ".sock";
+    options.listen = "unix:" + (folder_.path() / "conversion.sock").string();
     server_ =
         std::make_unique<rpc::Server>(options, std::vector<rpc::HostedService>{{&service_, "pleat.v1.Conversion"}});
     stub_ = v1::Conversion::NewStub(rpc::create_channel(server_->address()));
@@ -65,6 +65,7 @@ class ConversionServer : public testing::Test {
     }
   }
 
+  const test::TemporaryFolder folder_;
   test::Garment garment_ = test::load_garment("tablecloth");
   telemetry::Metrics metrics_{"conversion"};
   ConversionService service_{ServiceOptions{}, metrics_};

@@ -6,6 +6,7 @@
 
 #include "common/base/error.hpp"
 #include "services/coordinator/job_table.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::coordinator {
 namespace {
@@ -14,17 +15,12 @@ namespace fs = std::filesystem;
 
 class JobTableTest : public ::testing::Test {
  protected:
-  JobTableTest() {
-    std::string name = (fs::temp_directory_path() / "pleat-jobs-XXXXXX").string();
-    data_ = mkdtemp(name.data());
-  }
-  ~JobTableTest() override { fs::remove_all(data_); }
-
   static JobRequest request(const std::string& id = "") {
     return {.id = id, .scene_name = "draping", .frames = 10, .reference = false, .model = "", .request = "bytes\0more"};
   }
 
-  fs::path data_;
+  const test::TemporaryFolder temporary_;
+  const fs::path data_ = temporary_.path();
 };
 
 void expect_code(ErrorCode code, const std::function<void()>& action) {

@@ -2,8 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <cstring>
 #include <fstream>
@@ -15,6 +13,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "common/store/result.hpp"
 #include "services/cli/export/export.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat {
 namespace {
@@ -85,17 +84,15 @@ Positions moved(const Topology& topology, std::size_t frame) {
 class Export : public testing::Test {
  protected:
   void SetUp() override {
-    folder_ = fs::temp_directory_path() / ("pleat-export-" + std::to_string(::getpid()) + "-" +
-                                           testing::UnitTest::GetInstance()->current_test_info()->name());
     input_.name = "sheet";
     input_.topology = quad();
     input_.frame_count = 3;
     input_.frame_time_s = 0.04;
     input_.frame = [this](std::size_t t) { return moved(input_.topology, t); };
   }
-  void TearDown() override { fs::remove_all(folder_); }
 
-  fs::path folder_;
+  const test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path() / "out";
   ExportInput input_;
 };
 

@@ -2,7 +2,6 @@
 #include "services/refinement/service.hpp"
 
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <limits>
 #include <memory>
@@ -12,6 +11,7 @@
 #include "common/rpc/server.hpp"
 #include "common/rpc/stream.hpp"
 #include "services/refinement/judge.hpp"
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
 namespace pleat::refinement {
@@ -25,7 +25,7 @@ class RefinementServer : public testing::Test {
     cloth_.coarse = test::square_sheet(8, 1);
     cloth_.subdivision = subdivide(cloth_.coarse, 2);
     rpc::ServerOptions options;
-    options.listen = "unix:" + testing::TempDir() + "pleat_refinement_" + std::to_string(getpid()) + ".sock";
+    options.listen = "unix:" + (folder_.path() / "refinement.sock").string();
     server_ =
         std::make_unique<rpc::Server>(options, std::vector<rpc::HostedService>{{&service_, "pleat.v1.Refinement"}});
     stub_ = v1::Refinement::NewStub(rpc::create_channel(server_->address()));
@@ -62,6 +62,7 @@ class RefinementServer : public testing::Test {
     }
   }
 
+  const test::TemporaryFolder folder_;
   test::Cloth cloth_;
   ObstacleFrame ball_ = test::sphere("ball", {0.5f, -0.35f, -0.5f}, 0.3f);
   telemetry::Metrics metrics_{"refinement"};

@@ -1,6 +1,5 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 #include <zlib.h>
 
 #include <Eigen/Geometry>
@@ -16,6 +15,7 @@
 #include "services/cli/report/capsule_surface.hpp"
 #include "services/cli/report/encode.hpp"
 #include "services/cli/report/report.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat {
 namespace {
@@ -302,12 +302,6 @@ TEST(ReportJson, RejectsTimesOfAnotherLength) {
 
 class ReportFile : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = fs::temp_directory_path() / ("pleat-report-" + std::to_string(::getpid()) + "-" +
-                                           testing::UnitTest::GetInstance()->current_test_info()->name());
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
   std::string page(const ReportInput& input, const ReportHtmlOptions& options = {}) const {
     write_report_html(input, folder_ / "report.html", options);
     std::ifstream file(folder_ / "report.html", std::ios::binary);
@@ -322,7 +316,8 @@ class ReportFile : public testing::Test {
     return nlohmann::json::parse(page.substr(place, page.find("</script>", place) - place));
   }
 
-  fs::path folder_;
+  const test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path() / "out";
 };
 
 TEST_F(ReportFile, JsonIsWrittenWhole) {

@@ -11,6 +11,7 @@
 #include "services/superres/bundle.hpp"
 #include "services/superres/engine.hpp"
 #include "services/superres/network.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -20,12 +21,7 @@ using testing::HasSubstr;
 
 class EngineTest : public testing::Test {
  protected:
-  void SetUp() override {
-    const auto* info = testing::UnitTest::GetInstance()->current_test_info();
-    root_ = fs::temp_directory_path() / (std::string("pleat_engine_") + info->name() + std::to_string(::getpid()));
-    fs::create_directories(root_ / "models");
-  }
-  void TearDown() override { fs::remove_all(root_); }
+  void SetUp() override { fs::create_directories(root_ / "models"); }
 
   std::string folder() const { return (root_ / "models").string(); }
   std::string file(const std::string& name) const { return folder() + "/" + name + ".pt"; }
@@ -91,7 +87,8 @@ class EngineTest : public testing::Test {
     return Error(ErrorCode::kInternal, "no error");
   }
 
-  fs::path root_;
+  const test::TemporaryFolder temporary_;
+  const fs::path root_ = temporary_.path();
 };
 
 double worst_difference(const std::vector<float>& a, const std::vector<float>& b) {

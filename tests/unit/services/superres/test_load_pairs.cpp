@@ -2,7 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <unistd.h>
 
 #include <cmath>
 #include <filesystem>
@@ -11,6 +10,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/superres/training/pairs.hpp"
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/superres/example_dataset.hpp"
 
 namespace pleat::superres {
@@ -21,12 +21,6 @@ using testing::HasSubstr;
 
 class LoadPairs : public testing::Test {
  protected:
-  void SetUp() override {
-    const auto* info = testing::UnitTest::GetInstance()->current_test_info();
-    folder_ = fs::temp_directory_path() / (std::string("pleat_pairs_") + info->name() + std::to_string(::getpid()));
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
   void write(bool normalized) const { write_example_dataset(folder_, master_, normalized); }
 
   TrainConfig config() const {
@@ -39,7 +33,8 @@ class LoadPairs : public testing::Test {
     return c;
   }
 
-  fs::path folder_;
+  const test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path() / "data";
   const DatasetMaster master_ = example_master();
 };
 

@@ -2,7 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <unistd.h>
 
 #include <cstdlib>
 #include <filesystem>
@@ -10,6 +9,7 @@
 
 #include "common/base/error.hpp"
 #include "services/superres/training/config.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -100,8 +100,6 @@ TEST(TrainConfig, ShippedConfigurationsAreValid) {
 
 class TrainConfigFiles : public testing::Test {
  protected:
-  void SetUp() override { fs::create_directories(folder_); }
-  void TearDown() override { fs::remove_all(folder_); }
   std::string write(const std::string& name, const std::string& text) const {
     std::ofstream(folder_ / name) << text;
     return (folder_ / name).string();
@@ -114,7 +112,8 @@ class TrainConfigFiles : public testing::Test {
     }
     return "no error";
   }
-  const fs::path folder_ = fs::temp_directory_path() / ("pleat_config_" + std::to_string(::getpid()));
+  const test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
 };
 
 TEST_F(TrainConfigFiles, BuildOnABase) {

@@ -2,7 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
 #include <chrono>
 #include <csignal>
@@ -13,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/superres/example_dataset.hpp"
 
 namespace pleat::superres {
@@ -31,8 +31,6 @@ std::string read_file(const fs::path& path) {
 class TrainProgram : public testing::Test {
  protected:
   void SetUp() override {
-    const auto* info = testing::UnitTest::GetInstance()->current_test_info();
-    root_ = fs::temp_directory_path() / (std::string("pleat_program_") + info->name() + std::to_string(::getpid()));
     write_example_dataset(root_ / "data", example_master());
     std::ofstream(root_ / "train.json") << R"({"name": "small", "dataset": ")" << (root_ / "data").string()
                                         << R"(", "output": "out", "images": {"coarse_width": 12, "coarse_height": 9},
@@ -42,7 +40,6 @@ class TrainProgram : public testing::Test {
       "schedule": {"kind": "constant"}, "validation": {"every_frames": 3}, "epochs": 4, "batch": 4, "patch": 0,
       "mirror": true, "steps_per_epoch": 8, "threads": 1, "device": "cpu", "checkpoint_minutes": 0})";
   }
-  void TearDown() override { fs::remove_all(root_); }
 
   /// A shell command; pleat-train is $TRAIN, and comes with the configuration.
   int shell(const std::string& command) const {
@@ -70,7 +67,8 @@ class TrainProgram : public testing::Test {
     return result;
   }
 
-  fs::path root_;
+  const test::TemporaryFolder temporary_;
+  const fs::path root_ = temporary_.path();
 };
 
 TEST_F(TrainProgram, KilledAndResumedTrainingHasTheSameCurve) {

@@ -13,6 +13,7 @@
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/sampler.hpp"
 #include "services/superres/training/trainer.hpp"
+#include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/superres/example_network.hpp"
 
 namespace pleat::superres {
@@ -65,13 +66,6 @@ PairData waves(int sequences, int frames, bool fixed_point = false) {
 
 class TrainerTest : public testing::Test {
  protected:
-  void SetUp() override {
-    const auto* info = testing::UnitTest::GetInstance()->current_test_info();
-    root_ = fs::temp_directory_path() / (std::string("pleat_train_") + info->name() + std::to_string(::getpid()));
-    fs::create_directories(root_);
-  }
-  void TearDown() override { fs::remove_all(root_); }
-
   TrainConfig config(const std::string& output = "out") const {
     TrainConfig c;
     c.name = "waves";
@@ -106,7 +100,8 @@ class TrainerTest : public testing::Test {
     return result;
   }
 
-  fs::path root_;
+  const test::TemporaryFolder temporary_;
+  const fs::path root_ = temporary_.path();
 };
 
 TEST_F(TrainerTest, LearnsDetailThatInterpolationLacks) {

@@ -11,14 +11,13 @@
 #include "common/mesh/obj.hpp"
 #include "services/cli/dataset/generate.hpp"
 #include "services/cli/dataset/verify.hpp"
+#include "tests/support/temporary_folder.hpp"
 
 namespace pleat::dataset {
 
 class SmallSet : public ::testing::Test {
  protected:
   SmallSet() {
-    std::string pattern = (std::filesystem::temp_directory_path() / ("pleat-dataset-" + std::string(6, 'X'))).string();
-    root = mkdtemp(pattern.data());
     write_obj(root / "cloth.obj", cloth(7, 5));
     options.folder = root / "set";
     options.scenes.garment = root / "cloth.obj";
@@ -30,10 +29,6 @@ class SmallSet : public ::testing::Test {
     options.scenes.frames = 5;
     options.workers = 2;
     options.git_revision = "abc";
-  }
-  ~SmallSet() override {
-    std::error_code error;
-    std::filesystem::remove_all(root, error);
   }
 
   /// Columns x rows vertices, 5 cm apart, flat as the tablecloth is.
@@ -66,7 +61,8 @@ class SmallSet : public ::testing::Test {
   }
   std::filesystem::path sequence(const std::string& name) { return options.folder / "sequences" / (name + ".h5"); }
 
-  std::filesystem::path root;
+  const test::TemporaryFolder temporary;
+  const std::filesystem::path root = temporary.path();
   GenerateOptions options;
 };
 
