@@ -1,15 +1,12 @@
 // Benchmarks that need processes: the network, and the whole pipeline.
 #include <chrono>
 #include <cmath>
-#include <csignal>
 #include <cstdio>
 #include <random>
 #include <thread>
 
 #include "common/frame/messages.hpp"
 #include "common/rpc/status.hpp"
-#include "common/rpc/stream.hpp"
-#include "pleat/v1/superres.grpc.pb.h"
 #include "services/cli/bench.hpp"
 #include "services/cli/enhance_session.hpp"
 #include "services/cli/job_watcher.hpp"
@@ -17,6 +14,7 @@
 #include "services/cli/median.hpp"
 #include "services/cli/scene_file.hpp"
 #include "services/cli/signals.hpp"
+#include "services/cli/superres_process.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "services/simulation/simulation.hpp"
 
@@ -26,94 +24,41 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::seconds kStartTimeout{120}, kCallTimeout{10};
+constexpr std::chrono::seconds kCallTimeout{10};
 constexpr std::size_t kWarmUp = 3;
 
-/// pleat-superres alone, with one precision.
-class SuperresProcess {
- public:
-  SuperresProcess(const BenchOptions& options, const std::string& precision)
-      : address_("unix:" + (folder_.path() / "superres.sock").string()) {
-    const fs::path models = options.models.empty() ? default_models_folder() : options.models;
-    fs::create_directories(options.out / "logs");
-    const fs::path log = options.out / "logs" / ("superres-" + precision + ".log");
-    process_.emplace(executable_folder() / "pleat-superres",
-                     std::vector<std::string>{"--listen", address_, "--die-with-parent", "--models", models.string(),
-                                              "--precision", precision},
-                     log);
-    channel_ = rpc::create_channel(address_);
-    const auto deadline = Clock::now() + kStartTimeout;
-    while (!rpc::is_healthy(channel_, "pleat.v1.SuperResolution", std::chrono::milliseconds(300))) {
-      if (!process_->running())
-        throw Error(ErrorCode::kUnavailable, "superres ended (" + process_->end_reason() + "): " + last_lines(log, 1));
-      if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
-      if (Clock::now() > deadline) throw Error(ErrorCode::kUnavailable, "superres at " + address_ + " is not healthy");
-      std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    }
-    stub_ = v1::SuperResolution::NewStub(channel_);
-  }
-  ~SuperresProcess() {
-    process_->send(SIGTERM);
-    process_->wait_until(Clock::now() + std::chrono::seconds(10));
-  }
+std::filesystem::path log_file(const BenchOptions& options, const std::string& precision) {
+  return options.out / "logs" / ("superres-" + precision + ".log");
+}
 
-  std::vector<v1::ModelDescription> models() {
-    grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + kStartTimeout);
-    v1::ListModelsResponse response;
-    rpc::throw_if_failed(stub_->ListModels(&context, {}, &response), "superres");
-    return {response.models().begin(), response.models().end()};
+/// Milliseconds of each inference of random images of the bundle's size, as the service measures them.
+std::vector<double> infer(SuperresProcess& service, const std::string& model, std::size_t runs,
+                          std::string* precision) {
+  const auto stream = service.stream();
+  v1::UpscaleRequest request;
+  request.mutable_open()->set_model(model);
+  request.mutable_open()->set_window(1);
+  const v1::ModelDescription opened = stream->open(request);
+  *precision = opened.precision();
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> value(0.3f, 0.7f);
+  v1::Tensor& image = *request.mutable_frame()->mutable_image();
+  for (const std::uint32_t extent : {9u, opened.coarse_height(), opened.coarse_width()}) image.add_shape(extent);
+  *image.mutable_channels() = opened.channels();
+  const auto count = static_cast<int>(9 * opened.coarse_height() * opened.coarse_width());
+  for (int i = 0; i < count; ++i) image.add_values(value(random));
+  *request.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
+  std::vector<double> ms;
+  for (std::size_t r = 0; r < runs + kWarmUp; ++r) {
+    request.mutable_frame()->set_index(r);
+    const v1::ImageFrame frame = upscale(*stream, request);
+    double sum = 0;
+    for (const v1::StageTime& time : frame.stage_times())
+      if (time.stage() == "superres") sum += time.ms();
+    if (r >= kWarmUp) ms.push_back(sum);
   }
-  v1::ModelDescription default_model() {
-    grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + kStartTimeout);
-    v1::ModelDescription response;
-    rpc::throw_if_failed(stub_->DescribeModel(&context, {}, &response), "superres");
-    return response;
-  }
-
-  /// Milliseconds of each inference of random images of the bundle's size, as the service measures them.
-  std::vector<double> infer(const std::string& model, std::size_t runs, std::string* precision) {
-    rpc::FrameStreamOptions options;
-    options.peer = "superres at " + address_;
-    options.window = 1;
-    rpc::FrameStream<v1::UpscaleRequest, v1::UpscaleResponse> stream(
-        [this](grpc::ClientContext* context) { return stub_->Upscale(context); }, options);
-    v1::UpscaleRequest request;
-    request.mutable_open()->set_model(model);
-    request.mutable_open()->set_window(1);
-    const v1::ModelDescription opened = stream.open(request);
-    *precision = opened.precision();
-    std::mt19937 random(1);
-    std::uniform_real_distribution<float> value(0.3f, 0.7f);
-    v1::Tensor& image = *request.mutable_frame()->mutable_image();
-    for (const std::uint32_t extent : {9u, opened.coarse_height(), opened.coarse_width()}) image.add_shape(extent);
-    *image.mutable_channels() = opened.channels();
-    const auto count = static_cast<int>(9 * opened.coarse_height() * opened.coarse_width());
-    for (int i = 0; i < count; ++i) image.add_values(value(random));
-    *request.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
-    std::vector<double> ms;
-    v1::UpscaleResponse response;
-    for (std::size_t r = 0; r < runs + kWarmUp; ++r) {
-      request.mutable_frame()->set_index(r);
-      stream.push(request);
-      if (!stream.pop(&response)) throw Error(ErrorCode::kUnavailable, options.peer + " ended the stream");
-      if (response.has_error()) throw_internal(options.peer + ": " + response.error().message());
-      double sum = 0;
-      for (const v1::StageTime& time : response.frame().stage_times())
-        if (time.stage() == "superres") sum += time.ms();
-      if (r >= kWarmUp) ms.push_back(sum);
-    }
-    return ms;
-  }
-
- private:
-  PrivateFolder folder_;
-  std::string address_;
-  std::optional<ChildProcess> process_;
-  std::shared_ptr<grpc::Channel> channel_;
-  std::unique_ptr<v1::SuperResolution::Stub> stub_;
-};
+  return ms;
+}
 
 double frames_per_second(const std::shared_ptr<grpc::Channel>& channel, const std::string& address,
                          const BenchOptions& options) {
@@ -144,21 +89,21 @@ Figures bench_superres(const BenchOptions& options) {
   Figures figures;
   std::string precision;
   {
-    SuperresProcess service(options, "auto");
-    const std::vector<double> ms = service.infer(service.default_model().model(), options.frames, &precision);
+    SuperresProcess service(options.models, "auto", log_file(options, "auto"));
+    const std::vector<double> ms = infer(service, service.describe().model(), options.frames, &precision);
     figures.push_back({"infer", {median(ms), ms.size(), "ms"}});
   }
   for (const std::string wanted : {"float32", "bfloat16"}) {
     std::optional<SuperresProcess> service;
     try {
-      service.emplace(options, wanted);
+      service.emplace(options.models, wanted, log_file(options, wanted));
     } catch (const Error& error) {
       if (error.code() == ErrorCode::kCancelled) throw;
       std::fprintf(stderr, "%s is left out: %s\n", wanted.c_str(), error.what());
       continue;
     }
     for (const v1::ModelDescription& model : service->models()) {
-      const std::vector<double> ms = service->infer(model.model(), options.frames, &precision);
+      const std::vector<double> ms = infer(*service, model.model(), options.frames, &precision);
       if (precision != wanted) continue;  // the bundle refuses it
       figures.push_back({"infer/" + model.model() + "/" + wanted, {median(ms), ms.size(), "ms"}});
     }

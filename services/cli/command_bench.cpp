@@ -1,4 +1,5 @@
 // `pleat bench`: figures of this machine.
+#include <algorithm>
 #include <cstdio>
 
 #include "services/cli/bench.hpp"
@@ -19,7 +20,7 @@ constexpr Benchmark kBenchmarks[] = {{"simulation", bench_simulation},
                                      {"pipeline", bench_pipeline}};
 
 struct BenchChoice {
-  std::string name;
+  std::vector<std::string> names;  // empty: all
   BenchOptions options;
   bool json = false;
 };
@@ -35,7 +36,7 @@ int bench(const BenchChoice& choice) {
   nlohmann::json json = nlohmann::json::object();
   const nlohmann::json machine = machine_info();
   for (const Benchmark& benchmark : kBenchmarks) {
-    if (!choice.name.empty() && choice.name != benchmark.name) continue;
+    if (!choice.names.empty() && std::count(choice.names.begin(), choice.names.end(), benchmark.name) == 0) continue;
     const Figures figures = benchmark.run(choice.options);
     json.update(to_json(benchmark.name, figures));
     if (!choice.json) print_figures(benchmark.name, figures);
@@ -57,7 +58,7 @@ std::vector<Command> add_bench(CLI::App& root) {
   const auto choice = std::make_shared<BenchChoice>();
   std::vector<std::string> names;
   for (const Benchmark& benchmark : kBenchmarks) names.emplace_back(benchmark.name);
-  app->add_option("name", choice->name, "one of them (default: all)")->check(CLI::IsMember(names));
+  app->add_option("names", choice->names, "one or several of them (default: all)")->check(CLI::IsMember(names));
   app->add_flag("--json", choice->json, "one JSON object: name -> figure -> {median, runs, unit}");
   app->add_option("--frames", choice->options.frames, "frames (or runs) of a figure; costly ones take a quarter")
       ->capture_default_str()
@@ -65,6 +66,11 @@ std::vector<Command> add_bench(CLI::App& root) {
   app->add_option("--scene", choice->options.scene,
                   "scene file (default: deploy/scenes/draping.json; refinement: hitting.json)");
   app->add_option("--models", choice->options.models, "folder of the model bundles (default: deploy/models)");
+  app->add_option("--model", choice->options.model,
+                  "refinement: bundle in that folder that enhances the data set's frames (default: the service's)");
+  app->add_option(
+      "--dataset", choice->options.dataset,
+      "conversion, refinement: folder of a data set, for its test frames (default: frames made on the spot)");
   app->add_option("--out", choice->options.out, "folder for logs and files of jobs")->capture_default_str();
   return {{app, [choice] { return bench(*choice); }}};
 }
