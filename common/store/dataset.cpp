@@ -52,6 +52,7 @@ void write_dataset_master(const std::filesystem::path& folder, const DatasetMast
   file.set_attribute("/", "seed", master.seed);
   file.set_attribute("/", "fine", std::string(master.tracked ? "tracked" : "free"));
   file.set_attribute("/", "git_revision", master.git_revision);
+  if (!master.material.empty()) file.set_attribute("/", "material", master.material);
   store::write_topologies(file, master.topology);
   if (master.normalization) {
     file.write_array("/normalization/minimum", H5T_NATIVE_FLOAT, {9}, master.normalization->minimum.data());
@@ -190,6 +191,7 @@ DatasetReader::DatasetReader(const std::filesystem::path& folder) : state_(std::
   // Files from before there was a choice are of tracked simulations.
   master.tracked = !file.has_attribute("/", "fine") || file.string_attribute("/", "fine") == "tracked";
   master.git_revision = file.string_attribute("/", "git_revision");
+  if (file.has_attribute("/", "material")) master.material = file.string_attribute("/", "material");
   master.topology = store::read_topologies(file);
   if (file.exists("/normalization/minimum")) {
     FeatureRange normalization;

@@ -43,6 +43,7 @@ struct DatasetMaster {
   std::uint64_t seed = 0;
   bool tracked = true;  ///< the fine frames follow the coarse ones; false: free fine simulations
   std::string git_revision;
+  std::string material;  ///< the material file's text; empty in older data sets
   MeshPair topology;
   std::optional<FeatureRange> normalization;
   std::vector<std::string> sequences;  ///< names; the file of each is sequences/<name>.h5

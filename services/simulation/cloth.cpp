@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "services/simulation/obstacles.hpp"
 
 namespace pleat::simulation {
 namespace {
@@ -16,7 +17,7 @@ using Clock = std::chrono::steady_clock;
 // Metres. Nothing of a garment's scene is farther from the origin; NaN isn't nearer either.
 constexpr double kFarthest = 1e5;
 constexpr int kMostHalvings = 6;
-// m/s. How fast a hard handle that something stood against goes back to its script.
+// m/s. How fast a hard handle or an obstacle that something stood against goes back to its script.
 constexpr double kCatchUpSpeed = 1;
 
 double milliseconds(Clock::time_point from, Clock::time_point to) {
@@ -90,12 +91,35 @@ void Cloth::collect_pins(double time_s, double step_s) {
   }
 }
 
+// Where the obstacles are to be at the end of the step: in their scripted places, or on the way back to them.
+Points Cloth::obstacle_targets(double time_s, double step_s) const {
+  const Points before = contact_.obstacle_particles(time_s);
+  Points targets = contact_.obstacle_particles(time_s + step_s);
+  std::size_t first = 0;
+  for (const Obstacle& obstacle : scene_.obstacles) {
+    const std::size_t last = first + point_count(obstacle);
+    double script = 0, way = 0;
+    for (std::size_t i = first; i < last; ++i) {
+      script = std::max(script, (targets[i] - before[i]).norm());
+      way = std::max(way, (targets[i] - positions_[vertex_count() + i]).norm());
+    }
+    const double farthest = script + kCatchUpSpeed * step_s;
+    for (std::size_t i = first; i < last && way > farthest; ++i) {
+      const Vector3d& now = positions_[vertex_count() + i];
+      targets[i] = now + farthest / way * (targets[i] - now);
+    }
+    first = last;
+  }
+  return targets;
+}
+
 void Cloth::step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool) {
   advance(time_s, step_s, springs, pool, 0);
 }
 
 void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool, int halvings) {
   const auto start = Clock::now();
+  if (stopped_ && stopped_()) throw Error(ErrorCode::kCancelled, "cancelled");
   collect_pins(time_s, step_s);
   free_inverse_masses_.resize(vertex_count());
   for (std::size_t v = 0; v < vertex_count(); ++v) free_inverse_masses_[v] = 1 / dynamics_.masses()[v];
@@ -105,7 +129,7 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
   }
   pins_.insert(pins_.end(), springs.begin(), springs.end());
 
-  const Points obstacles = contact_.obstacle_particles(time_s + step_s);
+  const Points obstacles = obstacle_targets(time_s, step_s);
   for (std::size_t o = 0; o < obstacles.size(); ++o) {
     const std::size_t particle = vertex_count() + o;
     velocities_[particle] = (obstacles[o] - positions_[particle]) / step_s;

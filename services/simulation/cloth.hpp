@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <vector>
 
@@ -51,6 +52,12 @@ class Cloth {
   /// forces is made in halves, and counted as cut; kFailedPrecondition if even the smallest ones diverge.
   void step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool);
 
+  /// step() asks now and then, and throws kCancelled when the answer is yes. The state is of no use after that.
+  void stop_when(const std::function<bool()>& stopped) {
+    stopped_ = stopped;
+    contact_.stop_when(stopped);
+  }
+
   std::size_t vertex_count() const { return dynamics_.vertex_count(); }
   /// All collision particles: the cloth's vertices first, then the obstacles (ContactSystem).
   const Points& particles() const { return positions_; }
@@ -76,10 +83,12 @@ class Cloth {
   }
 
  private:
+  Points obstacle_targets(double time_s, double step_s) const;
   void collect_pins(double time_s, double step_s);
   void advance(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool, int halvings);
 
   const Scene& scene_;
+  std::function<bool()> stopped_;
   Dynamics dynamics_;
   ContactSystem contact_;
   StrainLimits strain_limits_;

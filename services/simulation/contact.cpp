@@ -5,6 +5,7 @@
 #include <map>
 #include <utility>
 
+#include "common/base/error.hpp"
 #include "services/simulation/obstacles.hpp"
 #include "services/simulation/union_find.hpp"
 
@@ -19,6 +20,7 @@ constexpr double kGap = 2e-5;
 constexpr double kFloor = 2e-6;
 constexpr int kProjectionRounds = 24;
 constexpr int kRigidRounds = 40;
+constexpr int kCutRounds = 100;  // some ten are usual
 
 // The quarter of the mean edge keeps the neighbours of a vertex out of its repulsion layer.
 double repulsion_thickness(const Topology& cloth, const Points& rest, double wanted) {
@@ -474,6 +476,7 @@ bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<c
     std::size_t new_impacts = 0;
     for (const auto& list : found) new_impacts += list.size();
     if (new_impacts == 0) return true;
+    if (stopped_ && stopped_()) throw Error(ErrorCode::kCancelled, "cancelled");
     result.impacts += new_impacts;
     ++result.rounds;
 
@@ -515,19 +518,51 @@ bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<c
   }
 }
 
-// The last resort can't fail: everything, obstacles included, stops before the first collision of the motion.
+// The last resort can't fail: what collides makes a part of its motion only, at the third collision none of it; an
+// obstacle as a whole. What stands still is as clean as the start was, and in the end everything may stand still.
 void ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
-  find_pairs(start, end, pool);
-  double time = 1;
-  for (const Pair& pair : pairs_) {
-    // Cut after cut must not wear the clearance down: a pair at the floor may part, but not come closer.
-    Pair guarded = pair;
-    const double clearance = std::sqrt(closest(pair, start).squared_distance) - static_cast<double>(pair.minimum);
-    guarded.minimum += static_cast<float>(std::min(kFloor, 0.999 * clearance));
-    const auto collision = collide(guarded, start, end);
-    if (collision) time = std::min(time, collision->time);
+  const Points wanted = end;
+  const auto body = [&](std::uint32_t particle) {
+    return particle < cloth_count_ ? particle : first_particle_[obstacle_of(particle)];
+  };
+  std::vector<double> part(particle_count_, 1.0), next(particle_count_);
+  std::vector<std::uint8_t> collisions(particle_count_, 0), hit(particle_count_);
+  constexpr std::size_t kGrain = 1024;
+  std::vector<double> times;
+  for (int round = 0; round < kCutRounds; ++round) {
+    find_pairs(start, end, pool);
+    times.assign(pairs_.size(), 2);
+    pool.parallel_for(pairs_.size(), kGrain, [&](std::size_t begin, std::size_t last) {
+      for (std::size_t p = begin; p < last; ++p) {
+        // Cut after cut must not wear the clearance down: a pair at the floor may part, but not come closer.
+        Pair guarded = pairs_[p];
+        const double clearance =
+            std::sqrt(closest(guarded, start).squared_distance) - static_cast<double>(guarded.minimum);
+        guarded.minimum += static_cast<float>(std::min(kFloor, 0.999 * clearance));
+        if (const auto collision = collide(guarded, start, end)) times[p] = collision->time;
+      }
+    });
+    next = part;
+    std::fill(hit.begin(), hit.end(), std::uint8_t{0});
+    bool clean = true;
+    for (std::size_t p = 0; p < pairs_.size(); ++p) {
+      if (times[p] > 1) continue;
+      clean = false;
+      for (const std::uint32_t v : pairs_[p].v) {
+        if (v == kNone) continue;
+        const std::uint32_t b = body(v);
+        hit[b] = 1;
+        next[b] = std::min(next[b], collisions[b] < 2 ? 0.8 * times[p] * part[b] : 0.0);
+      }
+    }
+    if (clean) return;
+    part = next;
+    for (std::uint32_t i = 0; i < particle_count_; ++i) {
+      collisions[i] = static_cast<std::uint8_t>(collisions[i] + hit[i]);
+      end[i] = start[i] + part[body(i)] * (wanted[i] - start[i]);
+    }
   }
-  for (std::size_t i = 0; i < end.size(); ++i) end[i] = start[i] + 0.8 * time * (end[i] - start[i]);
+  end = start;
 }
 
 Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<const double> inverse_masses,

@@ -4,9 +4,11 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/base/parallel.hpp"
@@ -24,7 +26,7 @@ struct Resolution {
   std::uint64_t rigid_zones = 0;
   std::uint64_t rounds = 0;
   bool yielded = false;  ///< hard handles gave way to what stood against them
-  bool cut = false;      ///< the step was cut: obstacles and hard handles lag behind their script too
+  bool cut = false;      ///< what collides was stopped: obstacles and hard handles may lag behind their script
 };
 
 /// A place where a state is not clean.
@@ -51,6 +53,9 @@ class ContactSystem {
  public:
   /// areas: m^2 per cloth vertex. rest: sets the order of the hierarchy, and the scale of the thickness.
   ContactSystem(const Topology& cloth, const Points& rest, std::vector<double> areas, const Scene& scene);
+
+  /// resolve() asks between its rounds, and throws kCancelled when the answer is yes.
+  void stop_when(std::function<bool()> stopped) { stopped_ = std::move(stopped); }
 
   std::size_t cloth_count() const { return cloth_count_; }
   std::size_t particle_count() const { return particle_count_; }
@@ -127,6 +132,7 @@ class ContactSystem {
   }
 
   const Scene& scene_;
+  std::function<bool()> stopped_;
   std::size_t cloth_count_ = 0, cloth_faces_ = 0, particle_count_ = 0;
   std::vector<std::array<std::uint32_t, 3>> faces_;  // cloth, then obstacle meshes
   std::vector<std::array<std::uint32_t, 2>> edges_;

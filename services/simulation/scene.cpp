@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <set>
 
 #include "common/base/error.hpp"
@@ -40,11 +41,25 @@ void check_not_negative(const Scene& scene, double value, const std::string& wha
   if (value < 0) fail(scene, what + " must not be negative");
 }
 
+// Beyond what cloth meets anywhere, far enough from where a step's arithmetic gets lost.
+constexpr double kFarthest = 1e5;                    // m
+constexpr double kFastest = 1e4;                     // m/s
+constexpr double kStrongestPull = 1e4;               // m/s^2
+constexpr double kLightest = 1e-4, kHeaviest = 1e3;  // kg/m^2
+
+void check_at_most(const Scene& scene, const Vector3d& value, double limit, const char* unit, const std::string& what) {
+  check_finite(scene, value, what);
+  if (value.norm() <= limit) return;
+  char text[64];
+  std::snprintf(text, sizeof text, " is %.3g %s, at most %g are possible", value.norm(), unit, limit);
+  fail(scene, what + text);
+}
+
 void check_motion(const Scene& scene, const Motion& motion, const std::string& what) {
   for (std::size_t i = 0; i < motion.keys.size(); ++i) {
     const std::string key = what + ", key frame " + std::to_string(i);
     check_finite(scene, motion.keys[i].time_s, key + ": time");
-    check_finite(scene, motion.keys[i].translation, key + ": translation");
+    check_at_most(scene, motion.keys[i].translation, kFarthest, "m", key + ": translation");
     check_finite(scene, motion.keys[i].rotation, key + ": rotation");
     if (i > 0 && motion.keys[i].time_s <= motion.keys[i - 1].time_s) fail(scene, key + ": times must ascend");
   }
@@ -84,6 +99,7 @@ void check_obstacles(const Scene& scene) {
     if (!names.insert(obstacle.name).second) fail(scene, what + " appears twice");
     const std::string fault = obstacle_fault(obstacle);
     if (!fault.empty()) fail(scene, what + (fault[0] == ':' ? "" : " ") + fault);
+    check_at_most(scene, obstacle.center, kFarthest, "m", what + ": centre");
     check_motion(scene, obstacle.motion, what);
   }
 }
@@ -114,13 +130,20 @@ Vector3d interpolate(const std::vector<KeyFrame>& keys, double time_s, const Get
 void validate_scene(const Scene& scene) {
   validate_topology(scene.garment, "scene '" + scene.name + "', garment");
   validate_material_coordinates(scene.garment, "scene '" + scene.name + "', garment");
-  check_finite(scene, scene.transform.translation, "initial translation");
+  check_at_most(scene, scene.transform.translation, kFarthest, "m", "initial translation");
   check_finite(scene, scene.transform.rotation, "initial rotation");
   check_positive(scene, scene.transform.scale, "initial scale");
-  check_finite(scene, scene.velocity, "initial velocity");
+  check_at_most(scene, scene.velocity, kFastest, "m/s", "initial velocity");
   check_not_negative(scene, scene.perturbation_m, "perturbation");
   check_positive(scene, scene.material.density, "material: density");
   check_positive(scene, scene.density_multiplier, "density multiplier");
+  const double density = scene.material.density * scene.density_multiplier;
+  if (density < kLightest || density > kHeaviest) {
+    char text[96];
+    std::snprintf(text, sizeof text, "material: density is %.3g kg/m2; cloth has %g to %g", density, kLightest,
+                  kHeaviest);
+    fail(scene, text);
+  }
   check_positive(scene, scene.stretching_multiplier, "stretching multiplier");
   check_not_negative(scene, scene.bending_multiplier, "bending multiplier");
   check_not_negative(scene, scene.damping_s, "damping");
@@ -137,9 +160,9 @@ void validate_scene(const Scene& scene) {
   if (scene.frames < 1 || scene.frames > kMaxFrames) {
     fail(scene, "frames must be 1 to " + std::to_string(kMaxFrames) + ", not " + std::to_string(scene.frames));
   }
-  check_finite(scene, scene.gravity, "gravity");
+  check_at_most(scene, scene.gravity, kStrongestPull, "m/s2", "gravity");
   check_not_negative(scene, scene.wind.density, "wind: density");
-  check_finite(scene, scene.wind.velocity, "wind: velocity");
+  check_at_most(scene, scene.wind.velocity, kFastest, "m/s", "wind: velocity");
   check_not_negative(scene, scene.wind.drag, "wind: drag");
   check_handles(scene);
   if (!(scene.handle_stretch_warning >= 1)) fail(scene, "handle stretch warning must be at least 1");

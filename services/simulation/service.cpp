@@ -89,6 +89,7 @@ grpc::Status SimulationService::Simulate(grpc::ServerContext* context,
     const rpc::detail::SessionCount session(&metrics_);
     Simulation simulation = open_session(request.open(), options_);
     request.Clear();
+    simulation.stop_when([context] { return context->IsCancelled(); });
     const std::string name = simulation.scene().name;
     const auto frames = static_cast<std::uint64_t>(simulation.scene().frames);
     spdlog::info("scene '{}': {} frames from {}, {} coarse vertices", name, frames, simulation.next_index(),

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <numbers>
 #include <random>
@@ -272,6 +273,7 @@ struct Simulation::State {
   std::optional<Cloth> coarse, fine;
   std::optional<HandleWatch> handle_watch;
   std::uint64_t next = 0;
+  bool cut_told = false;
   Positions last_coarse, last_fine;
 
   State(Scene s, Mode m)
@@ -404,6 +406,11 @@ std::vector<ObstacleShape> Simulation::obstacle_shapes() const {
   return shapes;
 }
 
+void Simulation::stop_when(const std::function<bool()>& stopped) {
+  state_->coarse->stop_when(stopped);
+  if (state_->fine) state_->fine->stop_when(stopped);
+}
+
 SimulatedFrame Simulation::next_frame() {
   State& s = *state_;
   if (s.next >= static_cast<std::uint64_t>(s.scene.frames)) {
@@ -431,6 +438,15 @@ SimulatedFrame Simulation::next_frame() {
   frame.report = {coarse.contacts + fine.contacts,           coarse.impacts + fine.impacts,
                   coarse.rigid_zones + fine.rigid_zones,     coarse.cut_steps + fine.cut_steps,
                   coarse.yielded_steps + fine.yielded_steps, coarse.solver_iterations + fine.solver_iterations};
+  if (frame.report.cut_steps > 0 && !std::exchange(s.cut_told, true)) {
+    char text[200];
+    std::snprintf(
+        text, sizeof text,
+        "%llu of the steps up to %.3g s had to be cut: they are too long, or something pinches the cloth, and "
+        "obstacles and handles may stay behind their script",
+        static_cast<unsigned long long>(frame.report.cut_steps), frame.coarse.time_s);
+    frame.warnings.emplace_back(text);
+  }
   ++s.next;
   return frame;
 }

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -72,6 +73,10 @@ class Simulation {
 
   /// Index of the frame that next_frame() gives, from 0; scene().frames at the end.
   std::uint64_t next_index() const;
+
+  /// next_frame() asks several times a step, from its own thread, and throws kCancelled when the answer is yes: only
+  /// destruction makes sense after that.
+  void stop_when(const std::function<bool()>& stopped);
 
   /// Simulates one frame. Frame 0 is the initial state. Throws kFailedPrecondition after the last frame.
   SimulatedFrame next_frame();

@@ -10,6 +10,8 @@
 #include <chrono>
 #include <cstdio>
 #include <cstring>
+#include <fstream>
+#include <iterator>
 #include <map>
 #include <optional>
 
@@ -99,6 +101,8 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   master.seed = options.scenes.seed;
   master.tracked = options.scenes.tracked;
   master.git_revision = options.git_revision;
+  std::ifstream material(options.scenes.material, std::ios::binary);
+  master.material.assign(std::istreambuf_iterator<char>(material), {});
   Subdivision subdivision = subdivide(scene.garment, scene.subdivision_rounds);
   master.topology.coarse = scene.garment;
   master.topology.fine = std::move(subdivision.fine);
@@ -116,7 +120,8 @@ std::map<std::string, std::uint64_t> inspect(const GenerateOptions& options, con
   const DatasetReader reader(options.folder);
   const std::string advice = ": begun with other options; remove the folder or choose another";
   if (topology_hash(reader.topology().fine) != topology_hash(master.topology.fine) ||
-      reader.master().seed != master.seed || reader.master().tracked != master.tracked) {
+      reader.master().seed != master.seed || reader.master().tracked != master.tracked ||
+      (!reader.master().material.empty() && reader.master().material != master.material)) {
     throw Error(ErrorCode::kFailedPrecondition, options.folder.string() + advice);
   }
   for (const SequenceInfo& info : reader.sequences()) {

@@ -223,6 +223,37 @@ TEST(NastyScene, PinchedBetweenAnArmAndABody) {
   EXPECT_GT(outcome.contacts, 500u);
 }
 
+TEST(NastyScene, APinchedSpotDoesNotStopTheRest) {
+  // Two spheres close on the middle of a falling sheet, and their script takes them 5 mm into each other: they must
+  // wait there for the cloth between them. Its border hangs down all the same.
+  Scene scene = sheet_scene(10);
+  scene.perturbation_m = 1e-3;
+  scene.obstacles = {sphere("upper", {0, 0.13, 0}, 0.1), sphere("lower", {0.004, -0.13, 0.003}, 0.1)};
+  for (const int k : {0, 1}) {
+    scene.obstacles[static_cast<std::size_t>(k)].motion.keys = {{0, {0, 0, 0}, {0, 0, 0}},
+                                                                {0.12, {0, k == 0 ? -0.0325 : 0.0325, 0}, {0, 0, 0}}};
+  }
+  Simulation simulation(scene, Mode::kCoarse);
+  std::vector<std::string> warnings;
+  std::uint64_t cut = 0;
+  float corner_before = 0;
+  for (int k = 0; k < 12; ++k) {
+    const SimulatedFrame frame = simulation.next_frame();
+    const Positions& x = frame.coarse.positions;
+    ASSERT_TRUE(judge(x, simulation.coarse().faces, simulation.obstacle_shapes(), frame.obstacles).clean()) << k;
+    EXPECT_LT(frame.coarse.velocities.rowwise().norm().maxCoeff(), 8) << k;
+    cut += frame.report.cut_steps;
+    warnings.insert(warnings.end(), frame.warnings.begin(), frame.warnings.end());
+    if (k == 5) corner_before = x(0, 1);
+    if (k == 11) {
+      EXPECT_LT(x(0, 1), corner_before - 0.02F);
+    }
+  }
+  EXPECT_GT(cut, 0u);
+  ASSERT_EQ(warnings.size(), 1u);
+  EXPECT_NE(warnings[0].find("cut"), std::string::npos) << warnings[0];
+}
+
 TEST(NastyScene, HandleIsLedIntoAnObstacle) {
   // A hard handle takes the middle of the sheet down into a box and up again: it waits on the box, where only it is
   // held up. The rest of the sheet falls on.

@@ -353,5 +353,42 @@ TEST(Simulation, ObstacleFramesFollowTheScript) {
   EXPECT_EQ(obstacle_frames(scene, 0).at(0).name, "ball");
 }
 
+TEST(Simulation, StopsWithinAStepWhenAsked) {
+  Simulation simulation(busy_scene(), Mode::kTrackedFine);
+  simulation.next_frame();
+  int asked = 0;
+  simulation.stop_when([&] { return ++asked > 3; });
+  try {
+    simulation.next_frame();
+    FAIL() << "not stopped";
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kCancelled);
+  }
+  EXPECT_EQ(asked, 4);
+}
+
+TEST(Simulation, RefusesWhatNoClothMeets) {
+  const auto refused = [](const auto& change, const std::string& what) {
+    Scene scene = busy_scene();
+    change(scene);
+    try {
+      Simulation(scene, Mode::kCoarse);
+      ADD_FAILURE() << what << " was accepted";
+    } catch (const Error& e) {
+      EXPECT_EQ(e.code(), ErrorCode::kInvalidArgument);
+      EXPECT_NE(std::string(e.what()).find(what), std::string::npos) << e.what();
+    }
+  };
+  refused([](Scene& s) { s.gravity = {0, -1e12, 0}; }, "gravity is 1e+12 m/s2");
+  refused([](Scene& s) { s.material.density = 1e-12; }, "density is 1e-12 kg/m2");
+  refused([](Scene& s) { s.transform.translation.x() = 1e6; }, "initial translation");
+  refused([](Scene& s) { s.velocity.x() = 1e7; }, "initial velocity");
+  refused(
+      [](Scene& s) {
+        s.obstacles[0].motion.keys = {{0, {0, 0, 0}, {0, 0, 0}}, {1, {0, 1e30, 0}, {0, 0, 0}}};
+      },
+      "key frame 1: translation");
+}
+
 }  // namespace
 }  // namespace pleat::simulation

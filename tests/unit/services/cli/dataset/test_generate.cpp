@@ -142,6 +142,13 @@ TEST_F(SmallSet, FreeFineSimulationsGoTheirOwnWay) {
   EXPECT_THROW(generate(options, [](const Progress&) {}), Error) << "one folder, one kind";
 }
 
+TEST_F(SmallSet, AnotherMaterialUnderTheSameNameIsRefused) {
+  options.scenes.train = options.scenes.test = 1;
+  generate(options, [](const Progress&) {});
+  std::ofstream(options.scenes.material, std::ios::app) << "\n";
+  EXPECT_THROW(generate(options, [](const Progress&) {}), Error);
+}
+
 TEST_F(SmallSet, MakesWhatWasPlanned) {
   Progress last;
   generate(options, [&](const Progress& progress) { last = progress; });
