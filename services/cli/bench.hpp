@@ -30,6 +30,9 @@ struct BenchOptions {
 
 /// coarse_frame, tracked_frame, fine_frame (ms): whole frames of the scene, steps, contact and obstacles included.
 Figures bench_simulation(const BenchOptions& options);
+/// One of them alone, over options.frames frames.
+Figure coarse_frame_time(const BenchOptions& options);
+Figure tracked_frame_time(const BenchOptions& options);
 /// to_image, to_mesh, build_map (ms); round_trip_rms, round_trip_max (m), over all frames; and their tables
 /// round_trip_rms/METHOD/SIZE, where SIZE is texels per fine vertex or the published 768x512 (a tenth of the frames),
 /// and skirt/... of that garment. Frames: of the data set, or the scene's garment with wrinkles.

@@ -105,6 +105,12 @@ std::filesystem::path scene_or(const BenchOptions& options, const std::string& n
   return options.scene.empty() ? std::filesystem::path("deploy/scenes") / (name + ".json") : options.scene;
 }
 
+Figure coarse_frame_time(const BenchOptions& options) { return time_of_frames(options, Mode::kCoarse, options.frames); }
+
+Figure tracked_frame_time(const BenchOptions& options) {
+  return time_of_frames(options, Mode::kTrackedFine, options.frames);
+}
+
 Figures bench_simulation(const BenchOptions& options) {
   const std::size_t costly = std::max<std::size_t>(1, options.frames / 4);
   return {{"coarse_frame", time_of_frames(options, Mode::kCoarse, options.frames)},

@@ -1,10 +1,14 @@
 // `pleat bench`: figures of this machine.
 #include <algorithm>
 #include <cstdio>
+#include <fstream>
+#include <optional>
 
 #include "services/cli/bench.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/machine.hpp"
+#include "services/cli/progress.hpp"
+#include "services/cli/tables.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -19,9 +23,12 @@ constexpr Benchmark kBenchmarks[] = {{"simulation", bench_simulation},
                                      {"refinement", bench_refinement},
                                      {"pipeline", bench_pipeline}};
 
+constexpr const char* kTables = "tables";
+
 struct BenchChoice {
   std::vector<std::string> names;  // empty: all
   BenchOptions options;
+  TablesOptions tables;
   bool json = false;
 };
 
@@ -32,7 +39,48 @@ void print_figures(const std::string& name, const Figures& figures) {
   std::fflush(stdout);
 }
 
+/// FOLDER-full, which the paper's sizes make, before FOLDER.
+std::filesystem::path larger(const std::filesystem::path& folder) {
+  const std::filesystem::path full = folder.string() + "-full";
+  return std::filesystem::exists(full / "dataset.h5") ? full : folder;
+}
+
+/// Needs data sets and trained bundles, and minutes: not among the benchmarks that run without a name.
+int tables(BenchChoice choice) {
+  TablesOptions& options = choice.tables;
+  options.models = choice.options.models;
+  options.out = choice.options.out;
+  if (options.draping.empty()) options.draping = larger("out/dataset/draping");
+  if (options.hitting.empty()) options.hitting = larger("out/dataset/hitting");
+  std::filesystem::create_directories(options.out);
+  std::optional<Progress> progress;
+  std::string shown;
+  const PaperTables result =
+      make_tables(options, [&](std::uint64_t done, std::uint64_t total, const std::string& benchmark) {
+        if (!progress || shown != benchmark) progress.emplace(benchmark + ", frames", total);
+        shown = benchmark;
+        progress->update(done);
+      });
+  if (progress) progress->finish();
+  const std::filesystem::path page = options.out / "tables.html";
+  std::ofstream file(page, std::ios::trunc);
+  file << to_html(result);
+  if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, page.string() + ": can't write");
+  if (choice.json) {
+    const nlohmann::json json{
+        {"tables", to_json(result)}, {"machine", machine_info()}, {"git_revision", git_revision()}};
+    std::printf("%s\n", json.dump(2).c_str());
+  } else {
+    std::printf("%sError maps and curves: %s\n", to_text(result).c_str(), page.string().c_str());
+  }
+  return kExitDone;
+}
+
 int bench(const BenchChoice& choice) {
+  if (std::find(choice.names.begin(), choice.names.end(), kTables) != choice.names.end()) {
+    if (choice.names.size() > 1) throw_invalid_argument("bench tables: goes without other names");
+    return tables(choice);
+  }
   nlohmann::json json = nlohmann::json::object();
   const nlohmann::json machine = machine_info();
   for (const Benchmark& benchmark : kBenchmarks) {
@@ -58,7 +106,11 @@ std::vector<Command> add_bench(CLI::App& root) {
   const auto choice = std::make_shared<BenchChoice>();
   std::vector<std::string> names;
   for (const Benchmark& benchmark : kBenchmarks) names.emplace_back(benchmark.name);
-  app->add_option("names", choice->names, "one or several of them (default: all)")->check(CLI::IsMember(names));
+  names.emplace_back(kTables);
+  app->add_option(
+         "names", choice->names,
+         "one or several of them (default: all but tables, the paper's with our figures beside the printed ones)")
+      ->check(CLI::IsMember(names));
   app->add_flag("--json", choice->json, "one JSON object: name -> figure -> {median, runs, unit}");
   app->add_option("--frames", choice->options.frames, "frames (or runs) of a figure; costly ones take a quarter")
       ->capture_default_str()
@@ -72,6 +124,18 @@ std::vector<Command> add_bench(CLI::App& root) {
       "--dataset", choice->options.dataset,
       "conversion, refinement: folder of a data set, for its test frames (default: frames made on the spot)");
   app->add_option("--out", choice->options.out, "folder for logs and files of jobs")->capture_default_str();
+  const auto tables = app->add_option_group("tables", "for 'tables'");
+  tables->add_option("--draping", choice->tables.draping,
+                     "data set (default: out/dataset/draping-full, else out/dataset/draping)");
+  tables->add_option("--hitting", choice->tables.hitting, "the same for HITTING");
+  tables->add_option("--trained", choice->tables.trained, "folder of trainings")->capture_default_str();
+  tables->add_option("--every", choice->tables.every, "every so-manieth frame of the test sequences is measured")
+      ->capture_default_str()
+      ->check(positive_number());
+  tables->add_option("--first", choice->tables.frames, "the first so many frames of each test sequence only")
+      ->check(positive_number());
+  tables->add_option("--timed", choice->tables.timed_frames, "frames that are simulated for Table 1; 0: none")
+      ->capture_default_str();
   return {{app, [choice] { return bench(*choice); }}};
 }
 

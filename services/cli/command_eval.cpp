@@ -2,13 +2,12 @@
 #include <chrono>
 #include <cstdio>
 
-#include "common/frame/messages.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/enhance_session.hpp"
 #include "services/cli/evaluation.hpp"
 #include "services/cli/launcher.hpp"
 #include "services/cli/output.hpp"
 #include "services/cli/progress.hpp"
+#include "services/cli/session_method.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -19,39 +18,10 @@ struct EvalOptions {
   std::string dataset, logs = "out/eval", coordinator;
   std::vector<std::string> models;
   EvaluationOptions evaluation;
-  bool json = false, baselines = false;
+  bool json = false, baselines = false, skip_refinement = false;
   double timeout_s = 30;
   rpc::TlsOptions tls;
 };
-
-/// The bundle through a live session per sequence, refinement included.
-Method session_method(const std::shared_ptr<grpc::Channel>& channel, const std::string& address,
-                      const MeshPair& topology, const std::string& model) {
-  const int rounds = subdivision_rounds(topology);
-  return {"pleat:" + model, [=](const MethodInput& input, const auto& sink) {
-            EnhanceSessionOptions open;
-            open.coarse = topology.coarse;
-            open.model = model;
-            open.frame_time_s = input.frame_time_s;
-            open.obstacles = input.obstacle_shapes;
-            open.subdivision_rounds = static_cast<std::uint32_t>(rounds);
-            EnhanceSession session(channel, address, open);
-            session.run(
-                input.frames,
-                [&](std::uint64_t k) {
-                  return CoarseInput{input.coarse(k), input.obstacles(k)};
-                },
-                [&](const v1::EnhancedFrame& frame, const CoarseInput&) {
-                  MethodFrame out;
-                  out.positions = positions_from_message(frame.fine(), topology.fine.vertex_count());
-                  for (const v1::StageTime& time : frame.stage_times()) out.ms.emplace_back(time.stage(), time.ms());
-                  out.refined = true;
-                  out.penetrations_before = frame.report().penetrations_before();
-                  out.self_intersections_before = frame.report().self_intersections_before();
-                  sink(frame.fine().index(), out);
-                });
-          }};
-}
 
 int evaluate_command(const EvalOptions& options) {
   const DatasetReader dataset(options.dataset);
@@ -85,7 +55,8 @@ int evaluate_command(const EvalOptions& options) {
     const auto channel = rpc::create_channel(address, options.tls);
     rpc::wait_healthy(channel, "pleat.v1.Coordinator", address,
                       std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
-    for (const std::string& name : names) methods.push_back(session_method(channel, address, dataset.topology(), name));
+    for (const std::string& name : names)
+      methods.push_back(session_method(channel, address, dataset.topology(), name, !options.skip_refinement));
   }
   std::optional<Progress> progress;
   const auto figures = evaluate(dataset, methods, options.evaluation, [&](std::uint64_t done, std::uint64_t total) {
@@ -113,6 +84,7 @@ std::vector<Command> add_eval(CLI::App& root) {
       ->check(positive_number());
   app->add_flag("--baselines", options->baselines,
                 "also wrinkles by example (Zurdo et al. 2013) from the data set's training split");
+  app->add_flag("--skip-refinement", options->skip_refinement, "the bundles' meshes as the networks make them");
   app->add_flag("--json", options->json, "one JSON object: method -> metric -> value");
   app->add_option("--logs", options->logs, "folder for the services' logs")->capture_default_str();
   app->add_option("--coordinator", options->coordinator,

@@ -27,6 +27,7 @@ EnhanceSession::EnhanceSession(const std::shared_ptr<grpc::Channel>& channel, co
   open.set_frame_time_s(options.frame_time_s);
   for (const ObstacleShape& shape : options.obstacles) *open.add_obstacles() = to_message(shape);
   open.set_window(stream.window);
+  open.set_skip_refinement(options.skip_refinement);
   if (options.subdivision_rounds) open.set_subdivision_rounds(*options.subdivision_rounds);
   const v1::EnhanceOpened opened = stream_->open(request);
   topology_.coarse = options.coarse;

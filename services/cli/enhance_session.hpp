@@ -21,6 +21,7 @@ struct EnhanceSessionOptions {
   std::vector<ObstacleShape> obstacles;
   std::uint32_t window = 0;  ///< frames in flight; 0: the coordinator's default
   std::optional<std::uint32_t> subdivision_rounds;
+  bool skip_refinement = false;  ///< the fine frames as the network made them
 };
 
 /// What goes in.

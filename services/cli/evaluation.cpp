@@ -16,7 +16,9 @@ namespace {
 
 constexpr int kMaxRounds = 5;
 
-std::vector<SequenceInfo> choose_sequences(const DatasetReader& dataset, const std::vector<std::string>& names) {
+}  // namespace
+
+std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const std::vector<std::string>& names) {
   std::vector<SequenceInfo> all = dataset.sequences(), chosen;
   std::erase_if(all, [](const SequenceInfo& info) { return info.frames_complete == 0; });
   for (const std::string& name : names) {
@@ -33,8 +35,6 @@ std::vector<SequenceInfo> choose_sequences(const DatasetReader& dataset, const s
   if (chosen.empty()) throw_not_found(dataset.folder().string() + ": no sequence with frames");
   return chosen;
 }
-
-}  // namespace
 
 int subdivision_rounds(const MeshPair& topology) {
   Eigen::Index faces = topology.coarse.face_count();
@@ -71,7 +71,7 @@ Method zurdo_method(const DatasetReader& dataset) {
 std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vector<Method>& methods,
                                     const EvaluationOptions& options,
                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
-  const std::vector<SequenceInfo> sequences = choose_sequences(dataset, options.sequences);
+  const std::vector<SequenceInfo> sequences = chosen_sequences(dataset, options.sequences);
   const MeshPair& topology = dataset.topology();
   std::optional<DisplacementRange> range;
   if (const auto& normalization = dataset.master().normalization) {
@@ -86,6 +86,7 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
   };
   std::uint64_t total = 0, done = 0;
   for (const SequenceInfo& info : sequences) total += frames_of(info) * methods.size();
+  const std::uint64_t every = std::max<std::uint64_t>(1, options.every);
 
   std::vector<MethodFigures> figures;
   for (const Method& method : methods) {
@@ -101,14 +102,6 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
       input.coarse = [&](std::uint64_t k) { return std::move(dataset.coarse(info.name, k, k + 1).at(0)); };
       input.obstacles = [&](std::uint64_t k) { return std::move(dataset.obstacles(info.name, k, k + 1).at(0)); };
       method.run(input, [&](std::uint64_t k, const MethodFrame& frame) {
-        const Positions reference = std::move(dataset.fine(info.name, k, k + 1).at(0));
-        const auto obstacles = input.obstacles(k);
-        FrameCounts counts;
-        counts.penetrations = count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles);
-        counts.self_intersections = count_self_intersections(frame.positions, topology.fine.faces);
-        counts.penetrations_before = frame.refined ? frame.penetrations_before : counts.penetrations;
-        counts.self_intersections_before = frame.refined ? frame.self_intersections_before : counts.self_intersections;
-        metrics.add(input.coarse(k), reference, frame.positions, counts);
         for (const auto& [stage, ms] : frame.ms) {
           const auto found =
               std::find_if(times.begin(), times.end(), [&, &name = stage](const auto& t) { return t.first == name; });
@@ -118,6 +111,15 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
             found->second.push_back(ms);
         }
         progress(++done, total);
+        if (k % every != 0) return;
+        const Positions reference = std::move(dataset.fine(info.name, k, k + 1).at(0));
+        const auto obstacles = input.obstacles(k);
+        FrameCounts counts;
+        counts.penetrations = count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles);
+        counts.self_intersections = count_self_intersections(frame.positions, topology.fine.faces);
+        counts.penetrations_before = frame.refined ? frame.penetrations_before : counts.penetrations;
+        counts.self_intersections_before = frame.refined ? frame.self_intersections_before : counts.self_intersections;
+        metrics.add(input.coarse(k), reference, frame.positions, counts);
       });
     }
     MethodFigures result{method.name, metrics.values(), {}};

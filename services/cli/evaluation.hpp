@@ -45,7 +45,13 @@ struct MethodFigures {
 struct EvaluationOptions {
   std::vector<std::string> sequences;  ///< empty: the split "test", or all if there is none
   std::uint64_t frames = 0;            ///< of each sequence at most; 0: all
+  /// Every so-manieth frame is measured, though methods make all. Figures over time (jitter, STED's temporal part) then
+  /// are of frames so far apart.
+  std::uint64_t every = 1;
 };
+
+/// The sequences with frames that are named, or those of the split "test", or all if there are none. Throws kNotFound.
+std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const std::vector<std::string>& names);
 
 /// Barycentric upsampling of the coarse frames. Throws kInvalidArgument if the data set's fine mesh is not the
 /// subdivision of its coarse mesh.

@@ -6,6 +6,7 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "services/superres/cpu/kernels.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -197,7 +198,6 @@ void Network::add_residual_blocks() {
   for (int d = 0; d < architecture_.blocks; ++d) {
     const std::string block = "block" + std::to_string(d);
     add_convolution(block + "_first", f, f, 3, false);
-    add_slope(block);
     add_convolution(block + "_second", f, f, 3, false);
   }
 }
@@ -307,7 +307,7 @@ torch::Tensor Network::prelu(const torch::Tensor& x, const std::string& name) co
 torch::Tensor Network::residual_blocks(torch::Tensor features) const {
   for (int d = 0; d < architecture_.blocks; ++d) {
     const std::string block = "block" + std::to_string(d);
-    features = convolve(prelu(convolve(features, block + "_first", 3), block), block + "_second", 3) + features;
+    features = convolve(torch::relu(convolve(features, block + "_first", 3)), block + "_second", 3) + features;
   }
   return features;
 }
@@ -338,20 +338,71 @@ torch::Tensor Network::forward(const torch::Tensor& x, const torch::Tensor& base
   return body_forward(x, structure, body) + base;
 }
 
-torch::Tensor Network::body_forward(const torch::Tensor& x, const torch::Tensor& structure,
-                                    torch::ScalarType body) const {
-  const Architecture& a = architecture_;
-  torch::Tensor input = x, axes;
-  if (a.axes == "local") {
-    const auto local = local_frame(x, get("base_minimum"), get("base_range"), get("base_rest"));
-    axes = local.axes;
-    // Folds have curvatures far beyond the deviation.
-    input = ((local.features - get("local_mean")) / get("local_deviation")).clamp(-kLargestFeature, kLargestFeature);
-  } else if (a.conditioned) {
-    input =
-        torch::cat({(x - get("input_mean")) / get("input_deviation"), local_detail(x) / get("detail_deviation")}, 1);
+namespace {
+
+/// The own kernels as a function that autograd knows. Activations stay in the Trainable.
+struct OwnConvolutions : torch::autograd::Function<OwnConvolutions> {
+  static torch::Tensor forward(torch::autograd::AutogradContext* context, const torch::Tensor& input,
+                               at::TensorList parameters, const Network* network, bool keep) {
+    cpu::Trainable& trainable = *network->trainable();
+    trainable.load([&](const std::string& name) { return cpu::Parameter{find(*network, parameters, name), nullptr}; });
+    auto output = torch::empty({input.size(0), trainable.outputs(), input.size(2), input.size(3)});
+    trainable.forward(input.contiguous().data_ptr<float>(), static_cast<int>(input.size(0)), output.data_ptr<float>(),
+                      keep);
+    context->saved_data["network"] = reinterpret_cast<std::int64_t>(network);
+    return output;
   }
-  if (structure.defined()) input = torch::cat({input, structure.expand({x.size(0), -1, -1, -1})}, 1);
+
+  static torch::autograd::variable_list backward(torch::autograd::AutogradContext* context,
+                                                 torch::autograd::variable_list gradients) {
+    const auto* network = reinterpret_cast<const Network*>(context->saved_data["network"].toInt());
+    // Nothing for the input, the network and the flag.
+    torch::autograd::variable_list result{{}};
+    for (const auto& [name, value] : network->parameters()) result.push_back(torch::zeros_like(value));
+    const std::vector<torch::Tensor> own(result.begin() + 1, result.end());
+    network->trainable()->backward(gradients[0].contiguous().data_ptr<float>(), [&](const std::string& name) {
+      return cpu::Parameter{nullptr, find(*network, own, name)};
+    });
+    result.insert(result.end(), 2, torch::Tensor());
+    return result;
+  }
+
+  static float* find(const Network& network, at::TensorList values, const std::string& name) {
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      if (network.parameters()[i].first == name) return values[i].data_ptr<float>();
+    }
+    throw_internal("network: no parameter " + name);
+  }
+};
+
+}  // namespace
+
+void Network::use_own_kernels(int threads) {
+  own_threads_ = threads;
+  trainable_.reset();
+}
+
+torch::Tensor Network::own_convolutions(const torch::Tensor& input, torch::ScalarType body) const {
+  const bool bfloat16 = body == torch::kBFloat16;
+  const int height = static_cast<int>(input.size(2)), width = static_cast<int>(input.size(3));
+  const auto fits = [&](const cpu::TrainableOptions& o) {
+    return o.height == height && o.width == width && o.bfloat16 == bfloat16;
+  };
+  if (!trainable_ || !fits(trainable_->options())) {
+    trainable_ = std::make_shared<cpu::Trainable>(
+        architecture_, cpu::TrainableOptions{static_cast<int>(input.size(1)), height, width, bfloat16, own_threads_});
+  }
+  const auto values = parameter_values();
+  auto features = OwnConvolutions::apply(input, at::TensorList(values), this, torch::GradMode::is_enabled());
+  if (architecture_.upsampling == "subpixel") return features;
+  features = upsample_bilinear(features.to(body));
+  std::vector<torch::Tensor> heads;
+  for (const char* head : kHeads) heads.push_back(convolve(features, std::string("head_") + head, 3));
+  return torch::cat(heads, 1).to(input.scalar_type());
+}
+
+torch::Tensor Network::convolutions(const torch::Tensor& input, torch::ScalarType body) const {
+  const Architecture& a = architecture_;
   const auto shallow = convolve(input, "shallow0", 3);
   auto features = convolve(shallow, "shallow1", 3).to(body);
   if (a.kind == "srresnet") {
@@ -369,12 +420,30 @@ torch::Tensor Network::body_forward(const torch::Tensor& x, const torch::Tensor&
     features = convolve(torch::cat(hierarchy, 1), "global0", 1);
   }
   features = convolve(features, "global1", 3) + shallow.to(body);
-  const bool subpixel = a.upsampling == "subpixel";
-  if (!subpixel) features = upsample_bilinear(features);
+  if (a.upsampling != "subpixel") features = upsample_bilinear(features);
   std::vector<torch::Tensor> heads;
   for (const char* head : kHeads) heads.push_back(convolve(features, std::string("head_") + head, 3));
-  auto output = torch::cat(heads, 1).to(x.scalar_type());
-  if (subpixel) output = torch::pixel_shuffle(output, kScale);
+  return torch::cat(heads, 1).to(input.scalar_type());
+}
+
+torch::Tensor Network::body_forward(const torch::Tensor& x, const torch::Tensor& structure,
+                                    torch::ScalarType body) const {
+  const Architecture& a = architecture_;
+  torch::Tensor input = x, axes;
+  if (a.axes == "local") {
+    const auto local = local_frame(x, get("base_minimum"), get("base_range"), get("base_rest"));
+    axes = local.axes;
+    // Folds have curvatures far beyond the deviation.
+    input = ((local.features - get("local_mean")) / get("local_deviation")).clamp(-kLargestFeature, kLargestFeature);
+  } else if (a.conditioned) {
+    input =
+        torch::cat({(x - get("input_mean")) / get("input_deviation"), local_detail(x) / get("detail_deviation")}, 1);
+  }
+  if (structure.defined()) input = torch::cat({input, structure.expand({x.size(0), -1, -1, -1})}, 1);
+  const bool own = own_threads_ > 0 && input.device().is_cpu() && cpu::Trainable::supports(a) &&
+                   (body == torch::kFloat32 || cpu::has_bfloat16());
+  auto output = own ? own_convolutions(input, body) : convolutions(input, body);
+  if (a.upsampling == "subpixel") output = torch::pixel_shuffle(output, kScale);
   if (a.axes == "local") {
     output = from_local(output * get("local_output"), upsample_bilinear(axes)) / get("base_range");
   } else if (a.conditioned) {
@@ -425,7 +494,7 @@ std::string residual_script(int blocks) {
   std::string out;
   for (int d = 0; d < blocks; ++d) {
     const std::string block = "block" + std::to_string(d);
-    out += "  a = " + convolution("f", block + "_first", 3) + "\n" + prelu_of("a", block);
+    out += "  a = torch.relu(" + convolution("f", block + "_first", 3) + ")\n";
     out += "  f = " + convolution("a", block + "_second", 3) + " + f\n";
   }
   return out;

@@ -4,10 +4,12 @@
 
 #include <torch/torch.h>
 
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "services/superres/cpu/trainable.hpp"
 #include "services/superres/mesh_base.hpp"
 #include "services/superres/metadata.hpp"
 
@@ -30,8 +32,8 @@ struct Conditioning {
 ///   s0 = conv3(x), f0 = conv3(s0); block d: dense conv3 + ReLU layers, conv1 fusion, + its input;
 ///   g = conv3(conv1(concat of all blocks)) + s0; upsampling; one conv3 for each of displacement, normal, velocity.
 /// Upsampling is bilinear with align_corners = false, which fits texel centres at (i + 0.5) / size.
-/// Kind "srresnet": a block is f + conv3(prelu(conv3(f))), and g = conv3(f) + s0 (SRResNet without its normalisation by
-/// batches, which later work found harmful). Kind "chen2018": the same body on positions in place of the nine channels,
+/// Kind "srresnet": a block is f + conv3(relu(conv3(f))), and g = conv3(f) + s0 (SRResNet as its successor EDSR left
+/// it, without normalisation by batches). Kind "chen2018": the same body on positions in place of the nine channels,
 /// two sub-pixel stages of factor two and one convolution to positions; normals and velocities are interpolated.
 class Network {
  public:
@@ -60,6 +62,11 @@ class Network {
   /// constants.
   torch::Tensor base_image(const torch::Tensor& x) const;
 
+  /// Forward passes on the processor, and their gradients, by our own kernels from now on (services/superres/cpu),
+  /// where they know the architecture: a forward pass that needs gradients must be followed by its backward pass before
+  /// the next one. threads: images at a time.
+  void use_own_kernels(int threads);
+
   /// Parameters by name, in a fixed order; weights (out, in, k, k) and biases (out).
   const std::vector<std::pair<std::string, torch::Tensor>>& parameters() const { return parameters_; }
   /// Constants by name, not trained.
@@ -68,6 +75,9 @@ class Network {
   std::int64_t parameter_count() const;
   const Architecture& architecture() const { return architecture_; }
   void to(torch::Device device);
+
+  /// Of the own kernels, for the autograd function in network.cpp alone.
+  cpu::Trainable* trainable() const { return trainable_.get(); }
 
   /// The same function as a TorchScript module with one method `forward`, made of plain operators only. Its values are
   /// copies. The three heads become one convolution of nine outputs. Every parameter may be turned into bfloat16 except
@@ -79,6 +89,8 @@ class Network {
   const torch::Tensor& get(const std::string& name) const;
   torch::Tensor body_forward(const torch::Tensor& x, const torch::Tensor& structure, torch::ScalarType body) const;
   torch::Tensor convolve(const torch::Tensor& x, const std::string& name, int kernel) const;
+  torch::Tensor convolutions(const torch::Tensor& input, torch::ScalarType body) const;
+  torch::Tensor own_convolutions(const torch::Tensor& input, torch::ScalarType body) const;
   torch::Tensor chen_forward(const torch::Tensor& x, torch::ScalarType body) const;
   torch::Tensor residual_blocks(torch::Tensor features) const;
   torch::Tensor prelu(const torch::Tensor& x, const std::string& name) const;
@@ -92,6 +104,8 @@ class Network {
   std::uint64_t random_state_;
   std::vector<std::pair<std::string, torch::Tensor>> parameters_;
   std::vector<std::pair<std::string, torch::Tensor>> buffers_;
+  int own_threads_ = 0;  ///< 0: LibTorch's convolutions
+  mutable std::shared_ptr<cpu::Trainable> trainable_;
 };
 
 /// The cloth's own axes at each coarse texel, and what is seen in them.

@@ -1,5 +1,7 @@
 #include "services/superres/service.hpp"
 
+#include <sys/stat.h>
+
 #include <algorithm>
 
 #include "common/base/error.hpp"
@@ -18,6 +20,13 @@ std::string without_extension(const std::string& name) {
   return name.size() > 3 && name.ends_with(".pt") ? name.substr(0, name.size() - 3) : name;
 }
 
+/// Changes when a file is replaced or written again; "" if it is gone.
+std::string file_identity(const std::string& path) {
+  struct stat s {};
+  if (::stat(path.c_str(), &s) != 0) return "";
+  return fmt::format("{}:{}:{}:{}.{}", s.st_dev, s.st_ino, s.st_size, s.st_mtim.tv_sec, s.st_mtim.tv_nsec);
+}
+
 }  // namespace
 
 SuperResolutionService::SuperResolutionService(const ServiceOptions& options, telemetry::Metrics& metrics)
@@ -30,16 +39,33 @@ std::shared_ptr<Batcher> SuperResolutionService::batcher(const std::string& requ
   const std::string name = without_extension(requested.empty() ? options_.model : requested);
   if (name.empty()) throw_invalid_argument("no model named, and this service has no default one");
   const std::lock_guard lock(mutex_);
-  if (const auto it = batchers_.find(name); it != batchers_.end()) return it->second;
-  if (batchers_.size() >= static_cast<std::size_t>(std::max(1, options_.loaded_models))) {
-    const auto unused = std::find_if(batchers_.begin(), batchers_.end(),
-                                     [](const auto& entry) { return entry.second.use_count() == 1; });
-    if (unused == batchers_.end()) {
-      throw Error(ErrorCode::kResourceExhausted,
-                  "model '" + name + "': " + std::to_string(batchers_.size()) + " other models are in use");
+  const auto present = loaded_.find(name);
+  if (present == loaded_.end()) {
+    if (loaded_.size() >= static_cast<std::size_t>(std::max(1, options_.loaded_models))) {
+      const auto unused = std::find_if(loaded_.begin(), loaded_.end(),
+                                       [](const auto& entry) { return entry.second.batcher.use_count() == 1; });
+      if (unused == loaded_.end()) {
+        throw Error(ErrorCode::kResourceExhausted,
+                    "model '" + name + "': " + std::to_string(loaded_.size()) + " other models are in use");
+      }
+      loaded_.erase(unused);
     }
-    batchers_.erase(unused);
+    std::string file = file_identity(bundle_path(options_.models, name));
+    return loaded_.emplace(name, Loaded{load(name), std::move(file)}).first->second.batcher;
   }
+  Loaded& loaded = present->second;
+  try {
+    const std::string file = file_identity(bundle_path(options_.models, name));
+    if (file == loaded.file) return loaded.batcher;
+    loaded.file = file;
+    loaded.batcher = load(name);
+  } catch (const Error& error) {
+    spdlog::warn("model {}: its file was changed and can't be used, the loaded one stays: {}", name, error.what());
+  }
+  return loaded.batcher;
+}
+
+std::shared_ptr<Batcher> SuperResolutionService::load(const std::string& name) const {
   EngineOptions engine;
   engine.folder = options_.models;
   engine.precision = precision_from_string(options_.precision);
@@ -55,7 +81,7 @@ std::shared_ptr<Batcher> SuperResolutionService::batcher(const std::string& requ
   spdlog::info("model {}: {} parameters, {} on {} ({}; {}, {} threads), ready after {:.0f} ms", name,
                loaded->describe().parameters, status.precision, status.device, status.processor, status.kernels,
                status.threads, timer.milliseconds());
-  return batchers_.emplace(name, std::make_shared<Batcher>(std::move(loaded), batching)).first->second;
+  return std::make_shared<Batcher>(std::move(loaded), batching);
 }
 
 void SuperResolutionService::describe(const std::string& name, const Metadata& metadata,
@@ -75,8 +101,8 @@ void SuperResolutionService::describe(const std::string& name, const Metadata& m
   message->set_git_revision(metadata.git_revision);
   message->set_metadata_json(to_json(metadata));
   const std::lock_guard lock(mutex_);
-  if (const auto it = batchers_.find(name); it != batchers_.end()) {
-    const EngineStatus status = it->second->engine().status();
+  if (const auto it = loaded_.find(name); it != loaded_.end()) {
+    const EngineStatus status = it->second.batcher->engine().status();
     message->set_device(status.device);
     message->set_precision(status.precision);
   }

@@ -36,14 +36,23 @@ class SuperResolutionService final : public v1::SuperResolution::Service {
                        grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) override;
 
  private:
-  /// The running bundle, loaded at its first use. "" is the default one.
+  /// A bundle in memory and the file that it came from.
+  struct Loaded {
+    std::shared_ptr<Batcher> batcher;
+    std::string file;  ///< file_identity() when it was last looked at, whether that could be loaded or not
+  };
+
+  /// The running bundle, loaded at its first use and again when its file was replaced. Sessions keep the one that they
+  /// were opened with, because their images are normalised for it. A new file that can't be loaded leaves the old
+  /// bundle in use, with a warning. "" is the default one.
   std::shared_ptr<Batcher> batcher(const std::string& name);
+  std::shared_ptr<Batcher> load(const std::string& name) const;
   void describe(const std::string& name, const Metadata& metadata, v1::ModelDescription* message);
 
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
   std::mutex mutex_;
-  std::map<std::string, std::shared_ptr<Batcher>> batchers_;
+  std::map<std::string, Loaded> loaded_;
 };
 
 }  // namespace pleat::superres

@@ -19,14 +19,6 @@ namespace {
 /// Transformed tiles of a 3x3 convolution outside the dense blocks: few enough to stay in the processor's cache.
 constexpr std::size_t kStripBytes = 256 << 10;
 
-#ifdef PLEAT_HAVE_AVX512
-bool processor_has_avx512() {
-  return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-         __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") &&
-         __builtin_cpu_supports("avx512bf16");
-}
-#endif
-
 /// Which is faster lately: one thread or all.
 class Pace {
  public:
@@ -47,14 +39,6 @@ class Pace {
   int turn_ = 0;
   double alone_ms_ = 0, together_ms_ = 0;
 };
-
-const Kernels& float32_kernels(bool base_instructions) {
-#ifdef PLEAT_HAVE_AVX512
-  if (!base_instructions && processor_has_avx512()) return kAvx512Float32;
-#endif
-  static_cast<void>(base_instructions);
-  return kBaseFloat32;
-}
 
 const Array& find(const Arrays& arrays, const std::string& name) {
   const auto it = arrays.find(name);
@@ -107,14 +91,6 @@ struct Plan {
 
 }  // namespace
 
-bool has_bfloat16() {
-#ifdef PLEAT_HAVE_AVX512
-  return processor_has_avx512();
-#else
-  return false;
-#endif
-}
-
 struct Executor::State {
   Architecture a;
   const Kernels* plain;  ///< float32: the shallow convolutions
@@ -129,8 +105,7 @@ struct Executor::State {
   std::vector<float> structure_weight, structure_values;
   std::vector<std::vector<Weights>> layers;  ///< of a block
   std::vector<Weights> fusions;
-  std::vector<Buffer> slopes;  ///< "srresnet": of a block's activation
-  Buffer zeros;                ///< slope of ReLU
+  Buffer zeros;  ///< slope of ReLU
   std::vector<float> input_mean, input_scale, detail_scale, output_scale;
   Normalization normalization;
   const Arrays* arrays = nullptr;  ///< during construction only
@@ -149,12 +124,7 @@ struct Executor::State {
         element(4),
         team(options.threads) {
     arrays = &values;
-#ifdef PLEAT_HAVE_AVX512
-    if (options.bfloat16 && has_bfloat16()) body = &kAvx512Bfloat16;
-#endif
-    if (options.bfloat16 && body == plain) {
-      throw Error(ErrorCode::kFailedPrecondition, "bfloat16: this processor has no AVX512-BF16");
-    }
+    if (options.bfloat16) body = &bfloat16_kernels();
     element = body->element;
     features = round_up(a.features, body->lanes);
     growth = round_up(a.growth, body->lanes);
@@ -236,10 +206,6 @@ struct Executor::State {
       if (a.kind == "srresnet") {
         list.push_back(convolution(*body, block + "_first", 3, range(0, a.features), features));
         list.push_back(convolution(*body, block + "_second", 3, range(0, a.features), features));
-        Buffer slope(static_cast<std::size_t>(features) * sizeof(float));
-        const auto& values = array(block + "_slope", {a.features}).values;
-        std::copy(values.begin(), values.end(), slope.floats());
-        slopes.push_back(std::move(slope));
         continue;
       }
       auto places = range(0, a.features);
@@ -429,7 +395,7 @@ struct Executor::State {
     const auto block = static_cast<std::size_t>(d);
     Image& inner = p.fused;
     ConvolutionCall call = call_of(layers[block][0]);
-    call.slope = slopes[block].floats();
+    call.slope = zeros.floats();
     call.stored = inner.buffer.data(), call.stored_stride = features;
     convolve_strips(*body, p.coarse, p.stack, call, member, begin, end);
     team.barrier();

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "services/superres/cpu/kernels.hpp"
 #include "services/superres/metadata.hpp"
 
 namespace pleat::superres::cpu {
@@ -26,9 +27,6 @@ struct ExecutorOptions {
   int threads = 1;
   bool base_instructions = false;  ///< only those that the program is built for, for tests
 };
-
-/// True if this processor has AVX-512 with bfloat16 products, and this build knows them.
-bool has_bfloat16();
 
 /// One network. Not thread-safe: one inference at a time.
 class Executor {

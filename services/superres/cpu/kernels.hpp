@@ -62,7 +62,32 @@ struct ConvolutionCall {
   int stored_stride;
   void* also_stored;  ///< the same a second time, or null
   int also_stored_stride;
+  const void* mask;  ///< image in elements: where it is not positive the result is 0 (gradient of ReLU), or null
+  int mask_stride;
   float* scratch;  ///< kScratch floats
+};
+
+/// What the gradient of a weight is summed from, for channels [first, first + channels) of an image. `group` tiles (or
+/// pixels) lie together: plane p, group g, channel c, member s is element
+/// p plane + (g stride + target + c) group + s.
+struct GroupCall {
+  const void* image;  ///< elements
+  int image_stride;
+  int first, channels;  ///< multiples of Kernels::lanes
+  void* groups;         ///< elements
+  std::size_t plane;
+  int stride;  ///< channels of a group
+  int target;
+};
+
+/// sums[p][i][j] = sum over the groups of a[p][.][i] b[p][.][j], for i < k and j < n.
+struct CorrelateCall {
+  const void *a, *b;  ///< as GroupCall made them, from the first channel on
+  std::size_t a_plane, b_plane;
+  int a_stride, b_stride;
+  int points, groups;
+  int k, n;     ///< n a multiple of Kernels::lanes
+  float* sums;  ///< (points, k, n)
 };
 
 /// One instruction set and type of the stored features. All pointers are aligned to 64 bytes. Calls work on the tile
@@ -76,15 +101,38 @@ struct Kernels {
   int lanes;    ///< floats in a vector
   int element;  ///< bytes of a stored feature: 4 float32, 2 bfloat16
   int block;
+  int group;  ///< tiles or pixels of a group: 1, in bfloat16 2
   void (*transform)(const Geometry& geometry, const TransformCall& call, int begin, int end);
   void (*convolve3)(const Geometry& geometry, const ConvolutionCall& call, int begin, int end);
   void (*convolve1)(const Geometry& geometry, const ConvolutionCall& call, int begin, int end);
   void (*store)(const float* values, void* elements, int count);  ///< count: a multiple of lanes
+
+  // For training.
+  /// The same, with 0 where mask is not positive.
+  void (*store_masked)(const float* values, const void* mask, void* elements, int count);
+  /// Winograd weights from taps (9, k, n), with n a multiple of lanes.
+  void (*pack3)(const float* taps, int k, int n, void* weights);
+  /// Transformed tiles of a whole image, as groups of planes; a last tile without a mate stays 0.
+  void (*group_inputs)(const Geometry& geometry, const GroupCall& call);
+  /// The same for the image of an output's gradient: transposed output transform.
+  void (*group_outputs)(const Geometry& geometry, const GroupCall& call);
+  /// The pixels of an image row by row, without borders, in one plane.
+  void (*group_pixels)(const Geometry& geometry, const GroupCall& call);
+  void (*correlate)(const CorrelateCall& call);
+  /// Adds the gradient of taps (9, k, n) that belongs to sums (36, k, n).
+  void (*add_taps)(const float* sums, int k, int n, float* taps);
 };
 
 inline constexpr int kLargestRows = 12;       ///< rows of the largest matrix product
 inline constexpr int kLargestOutputs = 1024;  ///< of a 1x1 convolution
 inline constexpr std::size_t kScratch = static_cast<std::size_t>(kPoints) * kLargestRows * 32;
+
+/// True if this processor has AVX-512 with bfloat16 products, and this build knows them.
+bool has_bfloat16();
+/// Throws kFailedPrecondition without has_bfloat16().
+const Kernels& bfloat16_kernels();
+/// The best of this processor, or those that the whole program is built for.
+const Kernels& float32_kernels(bool base_instructions);
 
 extern const Kernels kBaseFloat32;  ///< the instruction set that the whole program is built for
 extern const Kernels kAvx512Float32;

@@ -15,6 +15,7 @@ using Vec = float __attribute__((vector_size(64)));
 /// Features in bfloat16, sums in float32. Weights lie in pairs: (k / 2, columns, 2).
 struct Bfloat16 {
   using Element = unsigned short;
+  static constexpr int kGroup = 2;
   // The forms without a mask trip GCC's warning about uninitialised values.
   static constexpr __mmask16 kAll = 0xFFFF;
   static Vec read(const Element* p) {
@@ -52,20 +53,58 @@ struct Bfloat16 {
       for (int n = 0; n < N; ++n) _mm512_store_ps(c + (m * N + n) * kLanes, sums[m][n]);
     }
   }
+
+  static __m512i bits(Vec v) {
+    return _mm512_maskz_cvtepu16_epi32(kAll, reinterpret_cast<__m256i>(_mm512_cvtneps_pbh(v)));
+  }
+  /// Two members of a group, alternating.
+  static void write_group(Element* p, const Vec* v) {
+    _mm512_store_si512(p, _mm512_or_si512(bits(v[0]), _mm512_maskz_slli_epi32(kAll, bits(v[1]), 16)));
+  }
+
+  template <int M, int N>
+  static void correlate(const Element* a, long a_stride, const Element* b, long b_stride, int groups, float* c,
+                        long c_stride) {
+    __m512 sums[M][N];
+#pragma GCC unroll 12
+    for (int m = 0; m < M; ++m) {
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) sums[m][n] = _mm512_setzero_ps();
+    }
+    for (int g = 0; g < groups; ++g) {
+      __m512bh w[N];
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) {
+        w[n] = reinterpret_cast<__m512bh>(_mm512_load_si512(b + g * b_stride + 2 * n * kLanes));
+      }
+#pragma GCC unroll 12
+      for (int m = 0; m < M; ++m) {
+        int pair;
+        __builtin_memcpy(&pair, a + g * a_stride + 2 * m, sizeof pair);
+        const auto x = reinterpret_cast<__m512bh>(_mm512_set1_epi32(pair));
+#pragma GCC unroll 4
+        for (int n = 0; n < N; ++n) sums[m][n] = _mm512_dpbf16_ps(sums[m][n], x, w[n]);
+      }
+    }
+#pragma GCC unroll 12
+    for (int m = 0; m < M; ++m) {
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) _mm512_store_ps(c + m * c_stride + n * kLanes, sums[m][n]);
+    }
+  }
+
+  /// Rows in pairs: weight (i, j) of a block is element ((i / 2) width + j) 2 + i % 2.
+  static void write_weights(Element* block, int i, int width, int column, Vec v) {
+    alignas(32) Element values[kLanes];
+    write(values, v);
+    Element* place = block + (i / 2 * width + column) * 2 + i % 2;
+    for (int j = 0; j < kLanes; ++j) place[2 * j] = values[j];
+  }
 };
 
 }  // namespace
 
-const Kernels kAvx512Float32{"AVX-512",
-                             kLanes,
-                             4,
-                             2 * kLanes,
-                             transform<Float32>,
-                             convolve3<Float32>,
-                             convolve1<Float32>,
-                             store_elements<Float32>};
-const Kernels kAvx512Bfloat16{
-    "AVX-512 bfloat16",      kLanes, 2, 2 * kLanes, transform<Bfloat16>, convolve3<Bfloat16>, convolve1<Bfloat16>,
-    store_elements<Bfloat16>};
+const Kernels kAvx512Float32 = make_kernels<Float32>("AVX-512");
+const Kernels kAvx512Bfloat16 = make_kernels<Bfloat16>("AVX-512 bfloat16");
 
 }  // namespace pleat::superres::cpu

@@ -11,7 +11,6 @@ using Vec = float __attribute__((vector_size(32)));
 
 }  // namespace
 
-const Kernels kBaseFloat32{
-    "AVX2", kLanes, 4, 2 * kLanes, transform<Float32>, convolve3<Float32>, convolve1<Float32>, store_elements<Float32>};
+const Kernels kBaseFloat32 = make_kernels<Float32>("AVX2");
 
 }  // namespace pleat::superres::cpu

@@ -13,6 +13,7 @@ inline void store(float* p, Vec v) { *reinterpret_cast<Vec*>(p) = v; }
 /// Features in float32.
 struct Float32 {
   using Element = float;
+  static constexpr int kGroup = 1;
   static Vec read(const float* p) { return load(p); }
   static void write(float* p, Vec v) { store(p, v); }
 
@@ -37,6 +38,35 @@ struct Float32 {
       for (int n = 0; n < N; ++n) store(c + (m * N + n) * kLanes, sums[m][n]);
     }
   }
+
+  /// One group: its only member.
+  static void write_group(float* p, const Vec* v) { store(p, v[0]); }
+
+  /// c (M x N kLanes), rows c_stride apart, = sum over groups of a (M) b (N kLanes).
+  template <int M, int N>
+  static void correlate(const float* a, long a_stride, const float* b, long b_stride, int groups, float* c,
+                        long c_stride) {
+    Vec sums[M][N] = {};
+    for (int g = 0; g < groups; ++g) {
+      Vec w[N];
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) w[n] = load(b + g * b_stride + n * kLanes);
+#pragma GCC unroll 12
+      for (int m = 0; m < M; ++m) {
+        const Vec x = broadcast(a[g * a_stride + m]);
+#pragma GCC unroll 4
+        for (int n = 0; n < N; ++n) sums[m][n] += x * w[n];
+      }
+    }
+#pragma GCC unroll 12
+    for (int m = 0; m < M; ++m) {
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) store(c + m * c_stride + n * kLanes, sums[m][n]);
+    }
+  }
+
+  /// Weights of one point in packed order: row i, column block of `width`.
+  static void write_weights(float* block, int i, int width, int column, Vec v) { store(block + i * width + column, v); }
 };
 
 template <class Type, int N, int M = kMost>
@@ -103,6 +133,10 @@ inline void finish(const ConvolutionCall& call, long pixel, int channel, Vec val
   value += load(call.bias + channel);
   if (call.add != nullptr) value += load(call.add + pixel * call.add_stride + channel);
   if (call.slope != nullptr) value = value > Vec{} ? value : value * load(call.slope + channel);
+  if (call.mask != nullptr) {
+    const auto* mask = static_cast<const typename Type::Element*>(call.mask) + pixel * call.mask_stride + channel;
+    value = Type::read(mask) > Vec{} ? value : Vec{};
+  }
   if (call.output != nullptr) store(call.output + pixel * call.output_stride + channel, value);
   if (call.stored != nullptr) {
     Type::write(static_cast<typename Type::Element*>(call.stored) + pixel * call.stored_stride + channel, value);
@@ -210,4 +244,229 @@ template <class Type>
 void store_elements(const float* values, void* elements, int count) {
   for (int i = 0; i < count; i += kLanes)
     Type::write(static_cast<typename Type::Element*>(elements) + i, load(values + i));
+}
+
+template <class Type>
+void store_masked(const float* values, const void* mask, void* elements, int count) {
+  using Element = typename Type::Element;
+  for (int i = 0; i < count; i += kLanes) {
+    const Vec value = load(values + i);
+    const Vec sign = Type::read(static_cast<const Element*>(mask) + i);
+    Type::write(static_cast<Element*>(elements) + i, sign > Vec{} ? value : Vec{});
+  }
+}
+
+/// One dimension of a kernel's transform: 3 weights to 6 points.
+inline void transform_weights(Vec a, Vec b, Vec c, Vec* result) {
+  const Vec even = (a + c) * (-1.0f / 6), odd = b * (1.0f / 6);
+  const Vec far_even = a * (1.0f / 24) + c * (1.0f / 6), far_odd = b * (1.0f / 12);
+  result[0] = a * 0.25f;
+  result[1] = even - odd;
+  result[2] = even + odd;
+  result[3] = far_even + far_odd;
+  result[4] = far_even - far_odd;
+  result[5] = c;
+}
+
+template <class Type>
+void pack3(const float* taps, int k, int n, void* weights) {
+  using Element = typename Type::Element;
+  constexpr int kBlock = 2 * kLanes;
+  const long plane = static_cast<long>(k) * n;
+  for (int i = 0; i < k; ++i) {
+    for (int j = 0; j < n; j += kLanes) {
+      Vec rows[3][6], points[6];
+      for (int y = 0; y < 3; ++y) {
+        const float* row = taps + 3 * y * plane + static_cast<long>(i) * n + j;
+        transform_weights(load(row), load(row + plane), load(row + 2 * plane), rows[y]);
+      }
+      const int first = j / kBlock * kBlock, width = n - first < kBlock ? n - first : kBlock;
+      for (int x = 0; x < 6; ++x) {
+        transform_weights(rows[0][x], rows[1][x], rows[2][x], points);
+        for (int y = 0; y < 6; ++y) {
+          Type::write_weights(static_cast<Element*>(weights) + (6 * y + x) * plane + static_cast<long>(first) * k, i,
+                              width, j - first, points[y]);
+        }
+      }
+    }
+  }
+}
+
+template <class Type>
+void group_inputs(const Geometry& g, const GroupCall& call) {
+  using Element = typename Type::Element;
+  const long stride = call.image_stride, row = g.row * stride;
+  const int tiles = g.tiles_y * g.tiles_x;
+  for (int tile = 0; tile < tiles; tile += Type::kGroup) {
+    Element* target = static_cast<Element*>(call.groups) +
+                      (static_cast<long>(tile / Type::kGroup) * call.stride + call.target) * Type::kGroup;
+    for (int channel = 0; channel < call.channels; channel += kLanes) {
+      Vec t[Type::kGroup][6][6] = {};
+      for (int s = 0; s < Type::kGroup && tile + s < tiles; ++s) {
+        const int ty = (tile + s) / g.tiles_x, tx = (tile + s) % g.tiles_x;
+        const Element* image =
+            static_cast<const Element*>(call.image) + (ty * row + tx * stride) * kTile + call.first + channel;
+#pragma GCC unroll 6
+        for (int x = 0; x < 6; ++x) {
+#pragma GCC unroll 6
+          for (int y = 0; y < 6; ++y) t[s][y][x] = Type::read(image + y * row + x * stride);
+          transform6(t[s][0][x], t[s][1][x], t[s][2][x], t[s][3][x], t[s][4][x], t[s][5][x]);
+        }
+#pragma GCC unroll 6
+        for (int y = 0; y < 6; ++y) transform6(t[s][y][0], t[s][y][1], t[s][y][2], t[s][y][3], t[s][y][4], t[s][y][5]);
+      }
+      for (int p = 0; p < kPoints; ++p) {
+        Vec members[Type::kGroup];
+        for (int s = 0; s < Type::kGroup; ++s) members[s] = t[s][p / 6][p % 6];
+        Type::write_group(target + p * call.plane + channel * Type::kGroup, members);
+      }
+    }
+  }
+}
+
+/// Transpose of gather4: 4 pixels to 6 points.
+inline void scatter4(Vec a, Vec b, Vec c, Vec d, Vec* result) {
+  const Vec even = a + c, odd = b + d, far_even = a + 4.0f * c, far_odd = 2.0f * b + 8.0f * d;
+  result[0] = a;
+  result[1] = even + odd;
+  result[2] = even - odd;
+  result[3] = far_even + far_odd;
+  result[4] = far_even - far_odd;
+  result[5] = d;
+}
+
+template <class Type>
+void group_outputs(const Geometry& g, const GroupCall& call) {
+  using Element = typename Type::Element;
+  const long stride = call.image_stride, row = g.row * stride;
+  const int tiles = g.tiles_y * g.tiles_x;
+  for (int tile = 0; tile < tiles; tile += Type::kGroup) {
+    Element* target = static_cast<Element*>(call.groups) +
+                      (static_cast<long>(tile / Type::kGroup) * call.stride + call.target) * Type::kGroup;
+    for (int channel = 0; channel < call.channels; channel += kLanes) {
+      Vec t[Type::kGroup][6][6] = {};
+      for (int s = 0; s < Type::kGroup && tile + s < tiles; ++s) {
+        const int ty = (tile + s) / g.tiles_x, tx = (tile + s) % g.tiles_x;
+        // Pixels beyond the image are zero, as its border is.
+        const Element* image = static_cast<const Element*>(call.image) + (static_cast<long>(ty) * kTile + 1) * row +
+                               (tx * kTile + 1) * stride + call.first + channel;
+        Vec columns[4][6];
+#pragma GCC unroll 4
+        for (int x = 0; x < 4; ++x) {
+          scatter4(Type::read(image + x * stride), Type::read(image + row + x * stride),
+                   Type::read(image + 2 * row + x * stride), Type::read(image + 3 * row + x * stride), columns[x]);
+        }
+#pragma GCC unroll 6
+        for (int y = 0; y < 6; ++y) scatter4(columns[0][y], columns[1][y], columns[2][y], columns[3][y], t[s][y]);
+      }
+      for (int p = 0; p < kPoints; ++p) {
+        Vec members[Type::kGroup];
+        for (int s = 0; s < Type::kGroup; ++s) members[s] = t[s][p / 6][p % 6];
+        Type::write_group(target + p * call.plane + channel * Type::kGroup, members);
+      }
+    }
+  }
+}
+
+template <class Type>
+void group_pixels(const Geometry& g, const GroupCall& call) {
+  using Element = typename Type::Element;
+  const int pixels = g.height * g.width;
+  for (int pixel = 0; pixel < pixels; pixel += Type::kGroup) {
+    Element* target = static_cast<Element*>(call.groups) +
+                      (static_cast<long>(pixel / Type::kGroup) * call.stride + call.target) * Type::kGroup;
+    for (int channel = 0; channel < call.channels; channel += kLanes) {
+      Vec members[Type::kGroup] = {};
+      for (int s = 0; s < Type::kGroup && pixel + s < pixels; ++s) {
+        const int y = (pixel + s) / g.width, x = (pixel + s) % g.width;
+        members[s] = Type::read(static_cast<const Element*>(call.image) +
+                                (static_cast<long>(y + 1) * g.row + x + 1) * call.image_stride + call.first + channel);
+      }
+      Type::write_group(target + channel * Type::kGroup, members);
+    }
+  }
+}
+
+template <class Type, int N, int M = kMost>
+void correlate_rows(int rows, const typename Type::Element* a, long a_stride, const typename Type::Element* b,
+                    long b_stride, int groups, float* c, long c_stride) {
+  if (rows == M) {
+    Type::template correlate<M, N>(a, a_stride, b, b_stride, groups, c, c_stride);
+  } else if constexpr (M > 1) {
+    correlate_rows<Type, N, M - 1>(rows, a, a_stride, b, b_stride, groups, c, c_stride);
+  }
+}
+
+template <class Type>
+void correlate(const CorrelateCall& call) {
+  using Element = typename Type::Element;
+  constexpr int kGroup = Type::kGroup;
+  const long a_stride = static_cast<long>(call.a_stride) * kGroup, b_stride = static_cast<long>(call.b_stride) * kGroup;
+  const int blocks = (call.k + kMost - 1) / kMost;
+  for (int p = 0; p < call.points; ++p) {
+    const Element* a = static_cast<const Element*>(call.a) + p * call.a_plane;
+    const Element* b = static_cast<const Element*>(call.b) + p * call.b_plane;
+    float* sums = call.sums + static_cast<long>(p) * call.k * call.n;
+    for (int block = 0; block < blocks; ++block) {
+      const int i = call.k * block / blocks, rows = call.k * (block + 1) / blocks - i;
+      int j = 0;
+      for (; j + 2 * kLanes <= call.n; j += 2 * kLanes) {
+        correlate_rows<Type, 2>(rows, a + i * kGroup, a_stride, b + j * kGroup, b_stride, call.groups,
+                                sums + static_cast<long>(i) * call.n + j, call.n);
+      }
+      if (j < call.n) {
+        correlate_rows<Type, 1>(rows, a + i * kGroup, a_stride, b + j * kGroup, b_stride, call.groups,
+                                sums + static_cast<long>(i) * call.n + j, call.n);
+      }
+    }
+  }
+}
+
+/// Transpose of transform_weights: 6 points to 3 weights.
+inline void gather_weights(const Vec* p, Vec* result) {
+  const Vec near_sum = p[1] + p[2], near_difference = p[2] - p[1], far_sum = p[3] + p[4], far_difference = p[3] - p[4];
+  result[0] = 0.25f * p[0] - (1.0f / 6) * near_sum + (1.0f / 24) * far_sum;
+  result[1] = (1.0f / 6) * near_difference + (1.0f / 12) * far_difference;
+  result[2] = (1.0f / 6) * (far_sum - near_sum) + p[5];
+}
+
+inline void add_taps(const float* sums, int k, int n, float* taps) {
+  const long plane = static_cast<long>(k) * n;
+  for (long at = 0; at < plane; at += kLanes) {
+    Vec rows[6][3], column[6], weights[3];
+    for (int y = 0; y < 6; ++y) {
+      Vec points[6];
+      for (int x = 0; x < 6; ++x) points[x] = load(sums + (6 * y + x) * plane + at);
+      gather_weights(points, rows[y]);
+    }
+    for (int x = 0; x < 3; ++x) {
+      for (int y = 0; y < 6; ++y) column[y] = rows[y][x];
+      gather_weights(column, weights);
+      for (int y = 0; y < 3; ++y) {
+        float* place = taps + (3 * y + x) * plane + at;
+        store(place, load(place) + weights[y]);
+      }
+    }
+  }
+}
+
+/// The table of one element type.
+template <class Type>
+constexpr Kernels make_kernels(const char* name) {
+  return {name,
+          kLanes,
+          sizeof(typename Type::Element),
+          2 * kLanes,
+          Type::kGroup,
+          transform<Type>,
+          convolve3<Type>,
+          convolve1<Type>,
+          store_elements<Type>,
+          store_masked<Type>,
+          pack3<Type>,
+          group_inputs<Type>,
+          group_outputs<Type>,
+          group_pixels<Type>,
+          correlate<Type>,
+          add_taps};
 }

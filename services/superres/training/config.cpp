@@ -76,9 +76,11 @@ void visit(Visitor& v, Config& c) {
   v.range("batch", c.batch, 1, 4096);
   v.range("micro_batch", c.micro_batch, 0, 4096);
   v.range("patch", c.patch, 0, 8192);
+  v.range("every_frames", c.every_frames, 1, 1000000);
   v.range("steps_per_epoch", c.steps_per_epoch, 0, 100000000);
   v.value("mirror", c.mirror);
   v.choice("precision", c.precision, {"float32", "bfloat16"});
+  v.choice("kernels", c.kernels, {"own", "libtorch"});
   v.choice("device", c.device, {"auto", "cpu", "cuda"});
   v.choice("cache", c.cache, {"uint16", "float32"});
   v.value("cache_folder", c.cache_folder);
@@ -86,6 +88,7 @@ void visit(Visitor& v, Config& c) {
   v.value("strict", c.strict);
   v.range("threads", c.threads, 0, 4096);
   v.range("max_minutes", c.max_minutes, 0, 1e7);
+  v.choice("clock", c.clock, {"wall", "processor"});
   v.range("checkpoint_minutes", c.checkpoint_minutes, 0, 1e6);
   v.value("initial", c.initial);
 }
@@ -211,6 +214,9 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   }
   if (config.architecture.kind == "chen2018" && config.patch != 0) {
     throw_invalid_argument(source + ": key 'architecture.kind' = 'chen2018' needs whole images, 'patch' = 0");
+  }
+  if (config.every_frames > 1 && config.losses.kinematic > 0) {
+    throw_invalid_argument(source + ": key 'losses.kinematic' needs consecutive frames, 'every_frames' = 1");
   }
   validate(config.architecture);
   return config;

@@ -63,16 +63,19 @@ struct TrainConfig {
   int epochs = 120;
   int batch = 16;           ///< windows a step; a window has losses.frames + 1 frames if losses.kinematic > 0, else 1
   int patch = 72;           ///< side of the coarse patches in texels; 0 or more than the image: whole images
+  int every_frames = 1;     ///< of training sequences: every so-manieth frame, for data sets with more than time allows
   int steps_per_epoch = 0;  ///< 0: as many as show as many frames as the training split has
   bool mirror = false;      ///< mirrored copies in u, v and across the sheet; needs a flat rest mesh
   std::string precision = "float32";  ///< of the body: "float32" or "bfloat16"
-  std::string device = "auto";        ///< "auto", "cpu" or "cuda"
-  std::string cache = "uint16";       ///< images in memory: "uint16" (fixed point, 3e-5 of the range) or "float32"
-  std::string cache_folder;           ///< files of the images, which are mapped into memory; empty: DATASET/images
-  int cache_limit_mb = 32768;         ///< of them together
-  bool strict = false;                ///< sequences that can't be used are an error, not a warning
-  int threads = 0;                    ///< 0: all processors this process may use
-  double max_minutes = 0;             ///< wall clock over all resumed runs; 0: no limit
+  std::string kernels = "own";   ///< on the CPU: "own" convolutions (services/superres/cpu), or those of "libtorch"
+  std::string device = "auto";   ///< "auto", "cpu" or "cuda"
+  std::string cache = "uint16";  ///< images in memory: "uint16" (fixed point, 3e-5 of the range) or "float32"
+  std::string cache_folder;      ///< files of the images, which are mapped into memory; empty: DATASET/images
+  int cache_limit_mb = 32768;    ///< of them together
+  bool strict = false;           ///< sequences that can't be used are an error, not a warning
+  int threads = 0;               ///< 0: all processors this process may use
+  double max_minutes = 0;        ///< of `clock`, over all resumed runs; 0: no limit
+  std::string clock = "wall";    ///< "wall", or "processor": time that the (first) process computed
   double checkpoint_minutes = 2;
   /// Windows that one pass holds; a step adds up the gradients of several. 0: all of them, fewer after the device ran
   /// out of memory.

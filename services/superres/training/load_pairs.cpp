@@ -214,19 +214,21 @@ std::uint64_t hash_of(const std::string& text) {
 }
 
 /// Of everything that decides the images of a sequence.
-std::uint64_t content_hash(const TrainConfig& config, const SequenceInfo& info, const PairData& data) {
+std::uint64_t content_hash(const TrainConfig& config, const SequenceInfo& info, const PairData& data,
+                           std::size_t stride) {
   const std::filesystem::path finished = std::filesystem::path(config.dataset) / "sequences" / (info.name + ".h5");
   const std::filesystem::path file = info.finished ? finished : std::filesystem::path(finished.string() + ".partial");
   std::error_code error;
   const auto written = std::filesystem::last_write_time(file, error).time_since_epoch().count();
-  return hash_of(json{{"topology", {data.topology_hash, info.topology_hash}},
-                      {"images", data.image_spec},
-                      {"minimum", data.normalization.minimum},
-                      {"maximum", data.normalization.maximum},
-                      {"frames", info.frames_complete},
-                      {"frame_time_s", data.frame_time_s},
-                      {"file", {std::filesystem::file_size(file, error), written}}}
-                     .dump());
+  json content{{"topology", {data.topology_hash, info.topology_hash}},
+               {"images", data.image_spec},
+               {"minimum", data.normalization.minimum},
+               {"maximum", data.normalization.maximum},
+               {"frames", info.frames_complete},
+               {"frame_time_s", data.frame_time_s},
+               {"file", {std::filesystem::file_size(file, error), written}}};
+  if (stride > 1) content["every_frames"] = stride;
+  return hash_of(content.dump());
 }
 
 /// Sequences that can be used, and nothing about those that can't beyond a line each.
@@ -269,8 +271,14 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
   const Converter converter(reader, *map, pool, master.frame_time_s);
 
   const std::vector<SequenceInfo> sequences = usable_sequences(config, reader, report);
+  const auto stride_of = [&](const SequenceInfo& sequence) {
+    return static_cast<std::size_t>(in_validation(config, sequence) ? 1 : config.every_frames);
+  };
+  const auto frames_of = [&](const SequenceInfo& sequence) {
+    return (sequence.frames_complete + stride_of(sequence) - 1) / stride_of(sequence);
+  };
   std::size_t frames = 0;
-  for (const SequenceInfo& sequence : sequences) frames += sequence.frames_complete;
+  for (const SequenceInfo& sequence : sequences) frames += frames_of(sequence);
   for (const std::string& name : config.validation.sequences) {
     if (std::none_of(sequences.begin(), sequences.end(), [&](const auto& s) { return s.name == name; })) {
       throw_not_found(config.dataset + ": key 'validation.sequences' names " + name +
@@ -286,8 +294,9 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
                 config.dataset + ": " + std::to_string(frames) + " frames need " + std::to_string(megabytes) +
                     " MB of images, key 'cache_limit_mb' allows " + std::to_string(config.cache_limit_mb));
   }
-  const std::filesystem::path image_folder =
-      config.cache_folder.empty() ? std::filesystem::path(config.dataset) / "images" : std::filesystem::path(config.cache_folder);
+  const std::filesystem::path image_folder = config.cache_folder.empty()
+                                                 ? std::filesystem::path(config.dataset) / "images"
+                                                 : std::filesystem::path(config.cache_folder);
 
   LoadedPairs loaded;
   PairData& data = loaded.data;
@@ -332,18 +341,18 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
     PairSequence sequence;
     sequence.name = info.name;
     sequence.validation = in_validation(config, info);
-    PairFileKey key{0, info.frames_complete, map->coarse_height(), map->coarse_width(), config.cache == "uint16"};
-    key.content = content_hash(config, info, data);
+    PairFileKey key{0, frames_of(info), map->coarse_height(), map->coarse_width(), config.cache == "uint16"};
+    key.content = content_hash(config, info, data, stride_of(info));
     char file[24];
     std::snprintf(file, sizeof file, "-%016llx.bin", static_cast<unsigned long long>(key.content));
     const std::filesystem::path path = image_folder / (info.name + file);
     if (map_pair_file(path, key, sequence)) {
-      report(info.name + ": " + std::to_string(info.frames_complete) + " frames from " + path.string());
+      report(info.name + ": " + std::to_string(frames_of(info)) + " frames from " + path.string());
     } else {
       std::size_t clamped = 0;
       PairFileWriter writer(path, key);
       const auto convert = [&] {
-        converter.run(info, 1, [&](std::uint64_t, Converter::Converted& frame) {
+        converter.run(info, stride_of(info), [&](std::uint64_t, Converter::Converted& frame) {
           scale_to_unit(frame.coarse, data.normalization);
           scale_to_unit(frame.fine, data.normalization);
           for (const float v : frame.fine.values) clamped += key.fixed_point && (v < -0.5F || v >= 1.5F) ? 1 : 0;
@@ -364,7 +373,7 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
       }
       writer.finish();
       if (!map_pair_file(path, key, sequence)) throw_data_loss(path.string() + ": can't be read back");
-      report(info.name + ": " + std::to_string(info.frames_complete) + " frames converted" +
+      report(info.name + ": " + std::to_string(frames_of(info)) + " frames converted" +
              (clamped > 0 ? ", " + std::to_string(clamped) + " values beyond [-0.5, 1.5) clamped" : ""));
     }
     if (sequence.validation) {

@@ -22,7 +22,7 @@ constexpr int kColumns = 15;
 
 std::string csv_row(const EpochReport& r) {
   char row[512];
-  std::snprintf(row, sizeof row, "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.6f,%.6f,%.9g,%.9g,%d", r.epoch,
+  std::snprintf(row, sizeof row, "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.6f,%.6f,%.17g,%.9g,%d", r.epoch,
                 static_cast<long long>(r.steps), r.minutes, r.learning_rate, r.total, r.displacement, r.normal,
                 r.velocity, r.kinematic, r.psnr_db, r.psnr_normal_db, r.psnr_velocity_db, r.vmse_m2,
                 std::sqrt(r.vmse_m2), r.best ? 1 : 0);

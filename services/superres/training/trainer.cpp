@@ -7,8 +7,10 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <ctime>
 #include <filesystem>
 #include <fstream>
+#include <new>
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
@@ -30,8 +32,16 @@ using Clock = std::chrono::steady_clock;
 constexpr std::int64_t kShared = 7, kStop = 5, kMinutes = 6;
 
 bool out_of_memory(const std::exception& error) {
+  if (dynamic_cast<const std::bad_alloc*>(&error) != nullptr) return true;
   const std::string text = error.what();
   return text.find("out of memory") != std::string::npos || text.find("can't allocate memory") != std::string::npos;
+}
+
+/// Seconds that all threads of this process have computed.
+double processor_seconds() {
+  timespec t{};
+  ::clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
 }
 
 double decibel(double mean_square) { return mean_square > 0 ? -10 * std::log10(mean_square) : 200; }
@@ -74,6 +84,10 @@ class Trainer {
     }
     network_.to(device_);
     averaged_.to(device_);
+    if (device_.is_cpu() && config_.kernels == "own") {
+      network_.use_own_kernels(at::get_num_threads());
+      averaged_.use_own_kernels(at::get_num_threads());
+    }
     Adam adam(network_.parameter_values(), config_.optimizer);
     if (std::filesystem::exists(checkpoint_)) {
       load_checkpoint(checkpoint_, config_json_, network_, adam, state_);
@@ -93,6 +107,7 @@ class Trainer {
         std::to_string(sampler_.steps_per_epoch()) + " steps an epoch, on " + device_.str());
 
     started_ = Clock::now();
+    started_processor_ = processor_seconds();
     saved_ = started_;
     while (state_.epoch < config_.epochs) {
       if (!train_epoch(adam)) {
@@ -128,7 +143,10 @@ class Trainer {
   }
 
   double minutes() const {
-    return state_.minutes + std::chrono::duration<double>(Clock::now() - started_).count() / 60;
+    const double seconds = config_.clock == "processor"
+                               ? processor_seconds() - started_processor_
+                               : std::chrono::duration<double>(Clock::now() - started_).count();
+    return state_.minutes + seconds / 60;
   }
 
   void set_constants(const Conditioning& conditioning) {
@@ -459,6 +477,7 @@ class Trainer {
   TrainResult result_;
   double rate_ = 0;
   Clock::time_point started_ = Clock::now(), saved_ = started_;
+  double started_processor_ = 0;
 };
 
 }  // namespace

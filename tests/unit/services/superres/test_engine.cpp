@@ -20,6 +20,15 @@ namespace fs = std::filesystem;
 using testing::HasSubstr;
 
 class EngineTest : public testing::Test {
+ public:
+  static Tensor image(int height, int width, float phase = 0) {
+    Tensor t{{kChannels, height, width}, channel_names(), {}};
+    for (int i = 0; i < kChannels * height * width; ++i) {
+      t.values.push_back(0.5F + 0.4F * std::sin(phase + 0.3F * static_cast<float>(i)));
+    }
+    return t;
+  }
+
  protected:
   void SetUp() override { fs::create_directories(root_ / "models"); }
 
@@ -67,14 +76,6 @@ class EngineTest : public testing::Test {
     o.use_cuda = false;
     o.largest_batch = 2;
     return o;
-  }
-
-  static Tensor image(int height, int width, float phase = 0) {
-    Tensor t{{kChannels, height, width}, channel_names(), {}};
-    for (int i = 0; i < kChannels * height * width; ++i) {
-      t.values.push_back(0.5F + 0.4F * std::sin(phase + 0.3F * static_cast<float>(i)));
-    }
-    return t;
   }
 
   template <typename Body>
@@ -162,6 +163,65 @@ TEST_F(EngineTest, ForeignModulesRunAndBadOnesAreRefused) {
   EXPECT_EQ(error_of([&] { Engine(options(), "nan"); }).code(), ErrorCode::kDataLoss);
 }
 
+/// What make_python_bundle.py's module answers, in plain loops.
+std::vector<double> python_answer(const Tensor& x) {
+  const int h = static_cast<int>(x.shape[1]), w = static_cast<int>(x.shape[2]);
+  const auto at = [&](int c, int y, int column) {
+    return static_cast<double>(x.values[static_cast<std::size_t>((c * h + y) * w + column)]);
+  };
+  const auto inside = [&](int y, int column) { return y >= 0 && y < h && column >= 0 && column < w; };
+  std::vector<double> answer(static_cast<std::size_t>(kChannels * 16 * h * w));
+  for (int c = 0; c < kChannels; ++c) {
+    for (int y = 0; y < 4 * h; ++y) {
+      for (int column = 0; column < 4 * w; ++column) {
+        const int o = (c * 4 + y % 4) * 4 + column % 4;
+        double sum = 0.05 * std::sin(0.37 * o);
+        for (int i = 0; i < kChannels; ++i) {
+          for (int k = 0; k < 9; ++k) {
+            const int py = y / 4 + k / 3 - 1, px = column / 4 + k % 3 - 1;
+            if (inside(py, px)) sum += 0.05 * std::sin(0.37 * ((o * kChannels + i) * 9 + k)) * at(i, py, px);
+          }
+        }
+        // Texel centres, held at the border.
+        const double v = std::clamp((y + 0.5) / 4 - 0.5, 0.0, h - 1.0);
+        const double u = std::clamp((column + 0.5) / 4 - 0.5, 0.0, w - 1.0);
+        const int y0 = static_cast<int>(v), x0 = static_cast<int>(u);
+        const int y1 = std::min(y0 + 1, h - 1), x1 = std::min(x0 + 1, w - 1);
+        const double b = v - y0, a = u - x0;
+        answer[static_cast<std::size_t>((c * 4 * h + y) * 4 * w + column)] =
+            std::tanh(sum) + (1 - b) * ((1 - a) * at(c, y0, x0) + a * at(c, y0, x1)) +
+            b * ((1 - a) * at(c, y1, x0) + a * at(c, y1, x1));
+      }
+    }
+  }
+  return answer;
+}
+
+void expect_python_answer(Engine& engine) {
+  EXPECT_EQ(engine.describe().architecture.kind, "small-from-python");
+  const Tensor input = EngineTest::image(5, 6, 0.7F);
+  const auto expected = python_answer(input);
+  const auto output = engine.upscale(input).values;
+  EXPECT_LT(worst_difference(output, {expected.begin(), expected.end()}), 1e-5);
+}
+
+fs::path source_of_tests() { return fs::path(std::getenv("PLEAT_SOURCE_DIR")) / "tests/unit/services/superres"; }
+
+TEST_F(EngineTest, ModulesFromPythonRun) {
+  fs::copy_file(source_of_tests() / "python_bundle.pt", file("python_bundle"));
+  Engine engine(options(), "python_bundle");
+  expect_python_answer(engine);
+}
+
+TEST_F(EngineTest, ModulesThatPythonWritesNowRun) {
+  if (std::system("/usr/bin/python3 -c 'import torch' 2>/dev/null") != 0) GTEST_SKIP() << "no python3-torch here";
+  const std::string command =
+      "/usr/bin/python3 " + (source_of_tests() / "make_python_bundle.py").string() + " " + file("fresh");
+  ASSERT_EQ(std::system(command.c_str()), 0);
+  Engine engine(options(), "fresh");
+  expect_python_answer(engine);
+}
+
 TEST_F(EngineTest, NamesDoNotLeaveTheFolder) {
   write("small");
   fs::copy_file(file("small"), root_ / "outside.pt");
@@ -222,6 +282,21 @@ TEST_F(EngineTest, BadImagesAreRefused) {
   std::swap(wrong.channels[0], wrong.channels[1]);
   EXPECT_EQ(error_of([&] { engine.upscale(wrong); }).code(), ErrorCode::kInvalidArgument);
   EXPECT_EQ(engine.upscale(image(5, 6)).values.size(), 9U * 20 * 24);
+}
+
+TEST_F(EngineTest, OutOfMemoryHalvesTheBatchFromThenOn) {
+  write_foreign("greedy",
+                "def forward(self, x):\n  assert x.size(0) == 1, 'CUDA out of memory'\n"
+                "  return torch.upsample_bilinear2d(x, [x.size(2) * 4, x.size(3) * 4], False)\n");
+  EngineOptions four = options();
+  four.largest_batch = 4;
+  Engine engine(four, "greedy");
+  const Tensor a = image(5, 6, 0.1F), b = image(5, 6, 0.7F);
+  const std::span<const float> both[] = {a.values, b.values};
+  const auto results = engine.upscale(both, 5, 6);
+  EXPECT_EQ(engine.status().largest_batch, 1);
+  EXPECT_EQ(results[0], engine.upscale(a.values, 5, 6));
+  EXPECT_EQ(results[1], engine.upscale(b.values, 5, 6));
 }
 
 TEST_F(EngineTest, BatcherAnswersManySessionsAndSparesTheInnocent) {

@@ -65,6 +65,23 @@ TEST_F(LoadPairs, ImagesBelongToTheFrames) {
   EXPECT_THROW(loaded.judge->squared_error(1, 1, fine), Error);
 }
 
+TEST_F(LoadPairs, EverySomaniethFrameOfTheTrainingSequences) {
+  write(true);
+  const LoadedPairs all = load_pairs(config(), quiet);
+  TrainConfig few = config();
+  few.every_frames = 2;
+  const LoadedPairs some = load_pairs(few, quiet);
+  const PairSequence &whole = all.data.sequences[0], &part = some.data.sequences[0];
+  ASSERT_EQ(part.fine.size(), (whole.fine.size() + 1) / 2);
+  EXPECT_EQ(some.data.sequences[1].fine.size(), all.data.sequences[1].fine.size());  // validation
+  std::vector<float> expected(9 * 48 * 36), image(9 * 48 * 36);
+  for (std::size_t f = 0; f < part.fine.size(); ++f) {
+    whole.fine.read(2 * f, 0, 0, 36, 48, expected.data());
+    part.fine.read(f, 0, 0, 36, 48, image.data());
+    EXPECT_EQ(image, expected) << f;  // velocities of the frame before, too
+  }
+}
+
 TEST_F(LoadPairs, VelocitiesAreBackwardDifferences) {
   write(true);
   const LoadedPairs loaded = load_pairs(config(), quiet);

@@ -181,7 +181,8 @@ class Plain {
   Image residual_blocks(Image features) const {
     for (int d = 0; d < a_.blocks; ++d) {
       const std::string block = "block" + std::to_string(d);
-      const Image inner = prelu(convolve(features, block + "_first", 3), block);
+      Image inner = convolve(features, block + "_first", 3);
+      for (double& v : inner.values) v = std::max(v, 0.0);
       features = add(convolve(inner, block + "_second", 3), features);
     }
     return features;

@@ -68,6 +68,7 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("architecture": {"axes": "local"})")), HasSubstr("patch"));
   EXPECT_THAT(error_of(with(R"("patch": 0, "architecture": {"axes": "local"})")), HasSubstr("residual"));
   EXPECT_THAT(error_of(with(R"("images": {"coarse_width": 60})")), HasSubstr("coarse_height"));
+  EXPECT_THAT(error_of(with(R"("every_frames": 2)")), HasSubstr("losses.kinematic"));
   EXPECT_THAT(error_of(with(R"("schedule": {"kind": "cosine", "progress": "minutes"})")), HasSubstr("max_minutes"));
   EXPECT_THAT(error_of(R"({"name": "a", "dataset": "d"})"), HasSubstr("'output' is missing"));
   EXPECT_THAT(error_of(R"({"name": "../a", "dataset": "d", "output": "o"})"), HasSubstr("'name'"));
