@@ -1,6 +1,5 @@
 #include "tests/support/fake_stages.hpp"
 
-
 #include <cmath>
 #include <cstring>
 #include <stdexcept>
