@@ -79,7 +79,7 @@ fuzz: setup ## fuzz the inputs of conversion and refinement, FUZZ_SECONDS each (
 	  seeds=tests/fuzz/corpus/$${f#fuzz_}; found=build-fuzz/corpus/$${f#fuzz_}; mkdir -p $$found; \
 	  echo "fuzz: $$f for $(FUZZ_SECONDS) s"; \
 	  build-fuzz/bin/$$f -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=2048 -max_len=60000 -print_final_stats=1 \
-	    -verbosity=0 -close_fd_mask=1 -artifact_prefix=build-fuzz/ $$found $$seeds; \
+	    -verbosity=0 -close_fd_mask=1 -artifact_prefix=build-fuzz/ $$found $$seeds || exit 1; \
 	done; echo "fuzz: nothing found"
 
 compose-demo: ## build the container images and run the demo job against them
