@@ -144,8 +144,11 @@ TEST_F(SmallSet, FreeFineSimulationsGoTheirOwnWay) {
 
 TEST_F(SmallSet, AnotherMaterialUnderTheSameNameIsRefused) {
   options.scenes.train = options.scenes.test = 1;
+  const std::filesystem::path material = root / "material.json";
+  std::filesystem::copy_file(options.scenes.material, material);
+  options.scenes.material = material;
   generate(options, [](const Progress&) {});
-  std::ofstream(options.scenes.material, std::ios::app) << "\n";
+  std::ofstream(material, std::ios::app) << "\n";
   EXPECT_THROW(generate(options, [](const Progress&) {}), Error);
 }
 
