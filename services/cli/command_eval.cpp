@@ -47,6 +47,7 @@ int evaluate_command(const EvalOptions& options) {
     if (address.empty()) {
       LauncherOptions launch;
       launch.models = folder;
+      launch.model = names.front();
       launch.data = fs::path(options.logs) / "services";
       launch.logs = fs::path(options.logs) / "logs";
       launcher.emplace(launch);

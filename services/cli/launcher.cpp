@@ -39,7 +39,9 @@ std::string default_bundle(const fs::path& models) {
   std::vector<std::string> names;
   std::error_code ignored;
   for (const fs::directory_entry& entry : fs::directory_iterator(models, ignored))
-    if (entry.path().extension() == ".pt") names.push_back(entry.path().stem().string());
+    // A training's folder has its check-point beside the bundle.
+    if (entry.path().extension() == ".pt" && entry.path().stem() != "checkpoint")
+      names.push_back(entry.path().stem().string());
   std::sort(names.begin(), names.end());
   if (std::find(names.begin(), names.end(), kDefaultBundle) != names.end()) return kDefaultBundle;
   return names.empty() ? "" : names.front();
