@@ -41,6 +41,7 @@ Cloth::Cloth(const Topology& mesh, Points initial, std::vector<std::vector<std::
       contact_(mesh, rest_points(mesh), dynamics_.areas(), scene),
       strain_limits_(mesh, scene.strain_limits),
       positions_(std::move(initial)) {
+  for (const double mass : dynamics_.masses()) free_inverse_masses_.push_back(1 / mass);
   velocities_.assign(positions_.size(), scene.velocity);
   const Points obstacles = contact_.obstacle_particles(0);
   positions_.insert(positions_.end(), obstacles.begin(), obstacles.end());
@@ -121,8 +122,6 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
   const auto start = Clock::now();
   if (stopped_ && stopped_()) throw Error(ErrorCode::kCancelled, "cancelled");
   collect_pins(time_s, step_s);
-  free_inverse_masses_.resize(vertex_count());
-  for (std::size_t v = 0; v < vertex_count(); ++v) free_inverse_masses_[v] = 1 / dynamics_.masses()[v];
   inverse_masses_ = free_inverse_masses_;
   for (const Pin& pin : pins_) {
     if (pin.hard) inverse_masses_[pin.vertex] = 0;

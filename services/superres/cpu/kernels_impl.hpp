@@ -292,10 +292,10 @@ void pack3(const float* taps, int k, int n, void* weights) {
   }
 }
 
-template <class Type>
-void group_inputs(const Geometry& g, const GroupCall& call) {
+/// Writes tiles in groups: transform(tile's row, its column, first channel, result) gives the points of one.
+template <class Type, class Transform>
+void group_tiles(const Geometry& g, const GroupCall& call, const Transform& transform) {
   using Element = typename Type::Element;
-  const long stride = call.image_stride, row = g.row * stride;
   const int tiles = g.tiles_y * g.tiles_x;
   for (int tile = 0; tile < tiles; tile += Type::kGroup) {
     Element* target = static_cast<Element*>(call.groups) +
@@ -303,17 +303,7 @@ void group_inputs(const Geometry& g, const GroupCall& call) {
     for (int channel = 0; channel < call.channels; channel += kLanes) {
       Vec t[Type::kGroup][6][6] = {};
       for (int s = 0; s < Type::kGroup && tile + s < tiles; ++s) {
-        const int ty = (tile + s) / g.tiles_x, tx = (tile + s) % g.tiles_x;
-        const Element* image =
-            static_cast<const Element*>(call.image) + (ty * row + tx * stride) * kTile + call.first + channel;
-#pragma GCC unroll 6
-        for (int x = 0; x < 6; ++x) {
-#pragma GCC unroll 6
-          for (int y = 0; y < 6; ++y) t[s][y][x] = Type::read(image + y * row + x * stride);
-          transform6(t[s][0][x], t[s][1][x], t[s][2][x], t[s][3][x], t[s][4][x], t[s][5][x]);
-        }
-#pragma GCC unroll 6
-        for (int y = 0; y < 6; ++y) transform6(t[s][y][0], t[s][y][1], t[s][y][2], t[s][y][3], t[s][y][4], t[s][y][5]);
+        transform((tile + s) / g.tiles_x, (tile + s) % g.tiles_x, call.first + channel, t[s]);
       }
       for (int p = 0; p < kPoints; ++p) {
         Vec members[Type::kGroup];
@@ -322,6 +312,23 @@ void group_inputs(const Geometry& g, const GroupCall& call) {
       }
     }
   }
+}
+
+template <class Type>
+void group_inputs(const Geometry& g, const GroupCall& call) {
+  using Element = typename Type::Element;
+  const long stride = call.image_stride, row = g.row * stride;
+  group_tiles<Type>(g, call, [&](int ty, int tx, int channel, Vec(&t)[6][6]) {
+    const Element* image = static_cast<const Element*>(call.image) + (ty * row + tx * stride) * kTile + channel;
+#pragma GCC unroll 6
+    for (int x = 0; x < 6; ++x) {
+#pragma GCC unroll 6
+      for (int y = 0; y < 6; ++y) t[y][x] = Type::read(image + y * row + x * stride);
+      transform6(t[0][x], t[1][x], t[2][x], t[3][x], t[4][x], t[5][x]);
+    }
+#pragma GCC unroll 6
+    for (int y = 0; y < 6; ++y) transform6(t[y][0], t[y][1], t[y][2], t[y][3], t[y][4], t[y][5]);
+  });
 }
 
 /// Transpose of gather4: 4 pixels to 6 points.
@@ -339,33 +346,19 @@ template <class Type>
 void group_outputs(const Geometry& g, const GroupCall& call) {
   using Element = typename Type::Element;
   const long stride = call.image_stride, row = g.row * stride;
-  const int tiles = g.tiles_y * g.tiles_x;
-  for (int tile = 0; tile < tiles; tile += Type::kGroup) {
-    Element* target = static_cast<Element*>(call.groups) +
-                      (static_cast<long>(tile / Type::kGroup) * call.stride + call.target) * Type::kGroup;
-    for (int channel = 0; channel < call.channels; channel += kLanes) {
-      Vec t[Type::kGroup][6][6] = {};
-      for (int s = 0; s < Type::kGroup && tile + s < tiles; ++s) {
-        const int ty = (tile + s) / g.tiles_x, tx = (tile + s) % g.tiles_x;
-        // Pixels beyond the image are zero, as its border is.
-        const Element* image = static_cast<const Element*>(call.image) + (static_cast<long>(ty) * kTile + 1) * row +
-                               (tx * kTile + 1) * stride + call.first + channel;
-        Vec columns[4][6];
+  group_tiles<Type>(g, call, [&](int ty, int tx, int channel, Vec(&t)[6][6]) {
+    // Pixels beyond the image are zero, as its border is.
+    const Element* image = static_cast<const Element*>(call.image) + (static_cast<long>(ty) * kTile + 1) * row +
+                           (tx * kTile + 1) * stride + channel;
+    Vec columns[4][6];
 #pragma GCC unroll 4
-        for (int x = 0; x < 4; ++x) {
-          scatter4(Type::read(image + x * stride), Type::read(image + row + x * stride),
-                   Type::read(image + 2 * row + x * stride), Type::read(image + 3 * row + x * stride), columns[x]);
-        }
-#pragma GCC unroll 6
-        for (int y = 0; y < 6; ++y) scatter4(columns[0][y], columns[1][y], columns[2][y], columns[3][y], t[s][y]);
-      }
-      for (int p = 0; p < kPoints; ++p) {
-        Vec members[Type::kGroup];
-        for (int s = 0; s < Type::kGroup; ++s) members[s] = t[s][p / 6][p % 6];
-        Type::write_group(target + p * call.plane + channel * Type::kGroup, members);
-      }
+    for (int x = 0; x < 4; ++x) {
+      scatter4(Type::read(image + x * stride), Type::read(image + row + x * stride),
+               Type::read(image + 2 * row + x * stride), Type::read(image + 3 * row + x * stride), columns[x]);
     }
-  }
+#pragma GCC unroll 6
+    for (int y = 0; y < 6; ++y) scatter4(columns[0][y], columns[1][y], columns[2][y], columns[3][y], t[y]);
+  });
 }
 
 template <class Type>
