@@ -183,6 +183,71 @@ TEST_F(PipelineTest, ARefusedOpenFailsAtOnce) {
   }
 }
 
+/// Sends frames; at frame 5 the stream to superres breaks, and meanwhile its bundle is replaced.
+class ReplacedBundle : public PipelineTest {
+ protected:
+  void run_replaced(const std::function<void(v1::ModelDescription&)>& change) {
+    session_.model = fakes_.bundle().describe();
+    const auto pipeline = make();
+    pipeline->wait_open();
+    fakes_.bundle().replace(change);
+    fakes_.superres().faults.at(5, Faults::Kind::kBreak);
+    for (std::uint64_t i = 0; i < 20 && pipeline->push(frame(i)); ++i) {
+    }
+    pipeline->close();
+    pipeline->wait();
+  }
+
+  /// The session ends with this difference, and what came out before is right.
+  void expect_ended(const std::string& difference, const std::function<void(v1::ModelDescription&)>& change) {
+    SCOPED_TRACE(difference);
+    out_.clear();
+    try {
+      run_replaced(change);
+      FAIL() << "the session went on";
+    } catch (const Error& e) {
+      EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
+      EXPECT_EQ(e.what(), "superres at " + fakes_.superres().address() +
+                              ": bundle fake was replaced meanwhile by one with another " + difference +
+                              "; begin anew");
+    }
+    EXPECT_LE(out_.size(), 5U);
+    expect_right(out_.size());
+  }
+};
+
+TEST_F(ReplacedBundle, EndsTheSessionAndSaysWhatDiffers) {
+  using Model = v1::ModelDescription;
+  expect_ended("normalisation", [](Model& m) { m.mutable_normalization()->add_minimum(-1); });
+  expect_ended("normalisation", [](Model& m) { m.mutable_normalization()->set_minimum(0, -2); });
+  expect_ended("image size", [](Model& m) { m.set_coarse_width(60); });
+  expect_ended("list of channels", [](Model& m) { m.add_channels("displacement_x"); });
+  expect_ended("mesh", [](Model& m) { m.set_topology_hash("0123456789abcdef"); });
+  expect_ended("architecture", [](Model& m) { m.set_parameters(1234); });
+  expect_ended("training", [](Model& m) { m.set_metadata_json("{}"); });
+}
+
+TEST_F(ReplacedBundle, ThatRunsElsewhereIsTheSameBundle) {
+  run_replaced([](v1::ModelDescription& m) {
+    m.set_device("cuda:0");
+    m.set_precision("bfloat16");
+  });
+  expect_right(20);
+  EXPECT_EQ(fakes_.superres().opened, 2);
+}
+
+TEST_F(ReplacedBundle, BeforeTheFirstStreamEndsTheSession) {
+  session_.model = fakes_.bundle().describe();
+  fakes_.bundle().replace([](v1::ModelDescription& m) { m.mutable_normalization()->add_minimum(-1); });
+  const auto pipeline = make();
+  try {
+    pipeline->wait_open();
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
+  }
+}
+
 TEST_F(PipelineTest, AFrameErrorConcernsItsFrameOnly) {
   fakes_.superres().faults.at(4, Faults::Kind::kFrameError);
   fakes_.refinement().faults.at(6, Faults::Kind::kFrameError);
