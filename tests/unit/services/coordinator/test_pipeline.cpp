@@ -7,12 +7,14 @@
 #include "common/frame/messages.hpp"
 #include "common/rpc/channel.hpp"
 #include "services/coordinator/pipeline.hpp"
+#include "tests/support/errors.hpp"
 #include "tests/support/fake_stages.hpp"
 
 namespace pleat::coordinator {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using testing::Faults;
 
 LinkOptions fast_link() {
@@ -159,28 +161,20 @@ TEST_F(PipelineTest, AServiceThatStaysAwayIsNamed) {
   fakes_.refinement().stop();
   pipeline->push(frame(0));
   pipeline->close();
-  try {
-    pipeline->wait();
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_EQ(e.code(), ErrorCode::kUnavailable);
-    const std::string message = e.what();
-    EXPECT_NE(message.find("refinement at " + fakes_.refinement().address()), std::string::npos) << message;
-    EXPECT_NE(message.find("gave up after 1500 ms"), std::string::npos) << message;
-  }
+  const Error e = error_of([&] { pipeline->wait(); });
+  EXPECT_EQ(e.code(), ErrorCode::kUnavailable);
+  const std::string message = e.what();
+  EXPECT_NE(message.find("refinement at " + fakes_.refinement().address()), std::string::npos) << message;
+  EXPECT_NE(message.find("gave up after 1500 ms"), std::string::npos) << message;
   EXPECT_FALSE(pipeline->push(frame(1)));
 }
 
 TEST_F(PipelineTest, ARefusedOpenFailsAtOnce) {
   fakes_.superres().faults.refuse({grpc::StatusCode::FAILED_PRECONDITION, "trained for another mesh"}, 1);
   const auto pipeline = make();
-  try {
-    pipeline->wait_open();
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
-    EXPECT_NE(std::string(e.what()).find("another mesh"), std::string::npos);
-  }
+  const Error e = error_of([&] { pipeline->wait_open(); });
+  EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
+  EXPECT_NE(std::string(e.what()).find("another mesh"), std::string::npos);
 }
 
 /// Sends frames; at frame 5 the stream to superres breaks, and meanwhile its bundle is replaced.
@@ -202,15 +196,10 @@ class ReplacedBundle : public PipelineTest {
   void expect_ended(const std::string& difference, const std::function<void(v1::ModelDescription&)>& change) {
     SCOPED_TRACE(difference);
     out_.clear();
-    try {
-      run_replaced(change);
-      FAIL() << "the session went on";
-    } catch (const Error& e) {
-      EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
-      EXPECT_EQ(e.what(), "superres at " + fakes_.superres().address() +
-                              ": bundle fake was replaced meanwhile by one with another " + difference +
-                              "; begin anew");
-    }
+    const Error e = error_of([&] { run_replaced(change); });
+    EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
+    EXPECT_EQ(e.what(), "superres at " + fakes_.superres().address() +
+                            ": bundle fake was replaced meanwhile by one with another " + difference + "; begin anew");
     EXPECT_LE(out_.size(), 5U);
     expect_right(out_.size());
   }
@@ -240,12 +229,7 @@ TEST_F(ReplacedBundle, BeforeTheFirstStreamEndsTheSession) {
   session_.model = fakes_.bundle().describe();
   fakes_.bundle().replace([](v1::ModelDescription& m) { m.mutable_normalization()->add_minimum(-1); });
   const auto pipeline = make();
-  try {
-    pipeline->wait_open();
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
-  }
+  EXPECT_EQ(error_of([&] { pipeline->wait_open(); }).code(), ErrorCode::kFailedPrecondition);
 }
 
 TEST_F(PipelineTest, AFrameErrorConcernsItsFrameOnly) {
@@ -324,12 +308,7 @@ TEST_F(PipelineTest, ASinkThatThrowsFailsTheSession) {
   for (std::uint64_t i = 0; i < 50 && pipeline->push(frame(i)); ++i) {
   }
   pipeline->close();
-  try {
-    pipeline->wait();
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_STREQ(e.what(), "disk full: result.h5");
-  }
+  EXPECT_STREQ(error_of([&] { pipeline->wait(); }).what(), "disk full: result.h5");
 }
 
 TEST_F(PipelineTest, CancellingFreesEveryStage) {
@@ -359,13 +338,9 @@ TEST(SplitAddresses, CommasSeparateReplicas) {
 TEST_F(PipelineTest, AnUnknownBundleIsNamedByTheService) {
   const auto never = [] { return false; };
   EXPECT_EQ(describe_model(addresses_, fast_link(), "", never).model(), "fake");
-  try {
-    describe_model(addresses_, fast_link(), "nobody", never);
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_EQ(e.code(), ErrorCode::kNotFound);
-    EXPECT_NE(std::string(e.what()).find("no bundle 'nobody'"), std::string::npos);
-  }
+  const Error e = error_of([&] { describe_model(addresses_, fast_link(), "nobody", never); });
+  EXPECT_EQ(e.code(), ErrorCode::kNotFound);
+  EXPECT_NE(std::string(e.what()).find("no bundle 'nobody'"), std::string::npos);
 }
 
 }  // namespace
