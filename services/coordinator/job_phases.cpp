@@ -58,6 +58,14 @@ std::vector<Eigen::Index> obstacle_vertices(const v1::Scene& scene,
   return counts;
 }
 
+/// The bundle that the frames in `file` were made with; nothing where no frame was, or by an older coordinator.
+std::optional<v1::ModelDescription> load_bundle(const fs::path& file) {
+  const auto content = read_file(file);
+  v1::ModelDescription bundle;
+  if (!content || !bundle.ParseFromString(*content)) return std::nullopt;
+  return bundle;
+}
+
 /// A simulation that starts at the check-point in `file` if that lies before frame `wanted`, else at the beginning.
 struct StartedSimulation {
   std::unique_ptr<SimulationSource> source;
@@ -126,7 +134,10 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   const telemetry::StageTimer wall;
 
   PipelineSession session;
-  session.model = describe_model(addresses_, link_, request.model(), [&] { return job.cause().has_value(); });
+  // The service's default bundle may be another one by now.
+  const auto bundle = frames_on_disk(partial) > 0 ? load_bundle(folder / "bundle.pb") : std::nullopt;
+  session.model = describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
+                                 [&] { return job.cause().has_value(); });
   session.window = settings_.window;
   session.subdivision_rounds = scene.has_subdivision_rounds() ? scene.subdivision_rounds() : kDefaultSubdivisionRounds;
 
@@ -209,6 +220,11 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   SimulationSource& source = *started.source;
   session.first_sequence = first;
   try {
+    if (bundle && first > 0) {
+      require_same_bundle(*bundle, session.model);
+    } else {
+      replace_file(folder / "bundle.pb", session.model.SerializeAsString());
+    }
     EnhancementPipeline pipeline(
         addresses_, link_, session, fine_vertices, topology_hash(subdivision.fine),
         [&](std::unique_ptr<PipelineFrame> frame) { recorder.add(std::move(frame)); }, [&] { source.cancel(); });

@@ -181,7 +181,7 @@ void JobRunner::execute(ActiveJob& job) {
       record.frames_complete = record.frames;
       record.reference_frames_complete = record.reference ? record.frames : 0;
     });
-    for (const char* scratch : {"checkpoint.bin", "reference_checkpoint.bin"}) {
+    for (const char* scratch : {"bundle.pb", "checkpoint.bin", "reference_checkpoint.bin"}) {
       std::error_code ignored;
       fs::remove(table_.folder(job.id) / scratch, ignored);
     }

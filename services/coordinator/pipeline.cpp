@@ -1,5 +1,9 @@
 #include "services/coordinator/pipeline.hpp"
 
+#include <google/protobuf/util/message_differencer.h>
+
+#include <algorithm>
+#include <tuple>
 #include <utility>
 
 #include "common/mesh/mesh.hpp"
@@ -105,6 +109,23 @@ v1::ConversionSetup conversion_setup(const PipelineSession& session) {
   return setup;
 }
 
+/// What a bundle has another one of; empty if both make the same frames.
+std::string difference(const v1::ModelDescription& before, const v1::ModelDescription& now) {
+  using google::protobuf::util::MessageDifferencer;
+  const auto image = [](const v1::ModelDescription& model) {
+    return std::tuple(model.coarse_width(), model.coarse_height(), model.scale());
+  };
+  if (!MessageDifferencer::Equals(now.normalization(), before.normalization())) return "normalisation";
+  if (image(now) != image(before)) return "image size";
+  if (!std::equal(now.channels().begin(), now.channels().end(), before.channels().begin(), before.channels().end())) {
+    return "list of channels";
+  }
+  if (now.topology_hash() != before.topology_hash()) return "mesh";
+  if (now.architecture() != before.architecture() || now.parameters() != before.parameters()) return "architecture";
+  if (now.metadata_json() != before.metadata_json() || now.git_revision() != before.git_revision()) return "training";
+  return {};
+}
+
 }  // namespace
 
 std::vector<std::string> split_addresses(const std::string& service, const std::string& list) {
@@ -141,6 +162,13 @@ v1::ModelDescription describe_model(const ServiceAddresses& addresses, const Lin
   }
 }
 
+void require_same_bundle(const v1::ModelDescription& before, const v1::ModelDescription& now) {
+  const std::string other = difference(before, now);
+  if (other.empty()) return;
+  throw Error(ErrorCode::kFailedPrecondition,
+              "bundle " + before.model() + " was replaced meanwhile by one with another " + other + "; begin anew");
+}
+
 EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, const LinkOptions& link,
                                          const PipelineSession& session, std::size_t fine_vertices,
                                          const std::string& fine_hash, Sink sink, std::function<void()> failed)
@@ -167,9 +195,9 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
     callbacks.failed = [this](const Error& cause) { fail(cause); };
     return callbacks;
   };
-  const auto check_fine = [fine_hash](const std::string& service, const std::string& hash) {
+  const auto check_fine = [fine_hash](const std::string& hash) {
     if (!hash.empty() && hash != fine_hash) {
-      throw_internal(service + " subdivides the coarse mesh in another way: " + hash + ", expected " + fine_hash);
+      throw_internal("subdivides the coarse mesh in another way: " + hash + ", expected " + fine_hash);
     }
   };
   RemoteStage<ToImageRpc>::Options to_image{
@@ -189,7 +217,9 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
   upscale.open.mutable_open()->set_displacement_only(true);
   upscale.window = session.window;
   upscale.first_sequence = session.first_sequence;
-  auto upscale_callbacks = make_callbacks(UpscaleRpc{}, kSuperres, any);
+  // Conversion was set up for the bundle that was described: images of another one would be read wrongly.
+  auto upscale_callbacks = make_callbacks(
+      UpscaleRpc{}, kSuperres, [before = session.model](const auto& opened) { require_same_bundle(before, opened); });
 
   RemoteStage<ToMeshRpc>::Options to_mesh{
       .stage = "to_mesh", .service = "conversion", .addresses = addresses.conversion, .open = {}, .link = link};
@@ -197,9 +227,8 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
   to_mesh.open.mutable_open()->set_window(session.window);
   to_mesh.window = session.window;
   to_mesh.first_sequence = session.first_sequence;
-  auto to_mesh_callbacks = make_callbacks(ToMeshRpc{}, kToMesh, [check_fine](const v1::ConversionOpened& opened) {
-    check_fine("conversion", opened.fine().hash());
-  });
+  auto to_mesh_callbacks = make_callbacks(
+      ToMeshRpc{}, kToMesh, [check_fine](const v1::ConversionOpened& opened) { check_fine(opened.fine().hash()); });
   stages_.push_back(std::make_unique<RemoteStage<ToImageRpc>>(std::move(to_image), std::move(to_image_callbacks)));
   stages_.push_back(std::make_unique<RemoteStage<UpscaleRpc>>(std::move(upscale), std::move(upscale_callbacks)));
   stages_.push_back(std::make_unique<RemoteStage<ToMeshRpc>>(std::move(to_mesh), std::move(to_mesh_callbacks)));
@@ -214,9 +243,8 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
     open.set_window(session.window);
     refine.window = session.window;
     refine.first_sequence = session.first_sequence;
-    auto callbacks = make_callbacks(RefineRpc{}, kRefinement, [check_fine](const v1::RefineOpened& opened) {
-      check_fine("refinement", opened.fine_hash());
-    });
+    auto callbacks = make_callbacks(RefineRpc{}, kRefinement,
+                                    [check_fine](const v1::RefineOpened& opened) { check_fine(opened.fine_hash()); });
     stages_.push_back(std::make_unique<RemoteStage<RefineRpc>>(std::move(refine), std::move(callbacks)));
   }
   for (const auto& stage : stages_) stage->start();

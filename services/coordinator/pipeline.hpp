@@ -41,6 +41,10 @@ struct PipelineSession {
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
                                     const std::function<bool()>& cancelled);
 
+/// Throws kFailedPrecondition, saying what differs, if frames of the bundle that describes itself as `now` must not
+/// follow those of `before`. Where it runs (device, precision) may change.
+void require_same_bundle(const v1::ModelDescription& before, const v1::ModelDescription& now);
+
 /// Frames enter in sequence (without gaps) and come out in sequence, each exactly once: refined, or with `error` set.
 /// Memory is bounded by the windows. A stage that dies is reconnected and gets its frames again; the answers are the
 /// same, because stages keep no state between frames. Thread-safe.
@@ -50,6 +54,8 @@ class EnhancementPipeline {
   /// fails).
   using Sink = std::function<void(std::unique_ptr<PipelineFrame>)>;
 
+  /// A super-resolution service that opens with another bundle than session.model fails the session
+  /// (require_same_bundle).
   /// failed: called once when the session fails or is given up, in the thread where that happens; must not block.
   EnhancementPipeline(const ServiceAddresses& addresses, const LinkOptions& link, const PipelineSession& session,
                       std::size_t fine_vertices, const std::string& fine_hash, Sink sink,

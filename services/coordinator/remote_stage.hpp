@@ -103,7 +103,8 @@ class RemoteStage final : public Stage {
     LinkOptions link;
   };
   struct Callbacks {
-    std::function<void(const Opened&)> opened;  ///< every time a replica opened; may throw: then the session fails
+    std::function<void(const Opened&)> opened;  ///< every time a replica opened; an Error fails the session, with the
+                                                ///< peer before its message
     std::function<void(std::unique_ptr<PipelineFrame>)> deliver;
     std::function<void()> drained;
     std::function<void(const Error&)> failed;
@@ -195,7 +196,7 @@ class RemoteStage final : public Stage {
       const Registration registration(*this, r, stream);
       const auto opened = stream.open(options_.open);
       const auto since = Clock::now();
-      if (!accept(opened)) return std::nullopt;
+      if (!accept(r, opened)) return std::nullopt;
       scheduler_.connected(r);
       auto cause = exchange(r, stream, answered);
       // A stream that served, or that idled for a while, was no failed attempt: the outage begins now.
@@ -208,12 +209,12 @@ class RemoteStage final : public Stage {
     }
   }
 
-  bool accept(const Opened& opened) {
+  bool accept(std::size_t r, const Opened& opened) {
     try {
       if (callbacks_.opened) callbacks_.opened(opened);
       return true;
     } catch (const Error& e) {
-      callbacks_.failed(e);
+      callbacks_.failed(Error(e.code(), peer(r) + ": " + e.what()));
       return false;
     }
   }

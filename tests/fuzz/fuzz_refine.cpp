@@ -1,7 +1,6 @@
 // Refinement.Refine: an open message and frames.
 #include <cstdlib>
 
-#include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "services/refinement/judge.hpp"
@@ -30,27 +29,19 @@ void check(const pleat::RefinementReport& report, const pleat::v1::RefineFrame& 
 }
 
 void run(const std::vector<pleat::v1::RefineRequest>& messages) {
-  if (messages.empty()) return;
-  const pleat::v1::RefineOpen& open = messages[0].open();
-  try {
+  pleat::fuzz::run_session(messages, [](const pleat::v1::RefineOpen& open, const auto& for_frames) {
     pleat::refinement::Session session(open, pleat::fuzz::refinement_limits());
     const pleat::Topology coarse = pleat::from_message(open.coarse());
     const int rounds = open.has_subdivision_rounds() ? static_cast<int>(open.subdivision_rounds()) : 2;
     const pleat::Faces faces = pleat::subdivide(coarse, rounds).fine.faces;
     std::vector<pleat::ObstacleShape> shapes;
     for (const auto& obstacle : open.obstacles()) shapes.push_back(pleat::from_message(obstacle));
-    for (std::size_t i = 1; i < messages.size(); ++i) {
-      try {
-        pleat::v1::RefinedFrame refined;
-        const pleat::RefinementReport& report = session.refine(messages[i].frame(), &refined);
-        check(report, messages[i].frame(), refined, faces, shapes);
-      } catch (const pleat::Error&) {
-        // A FrameError; the stream goes on.
-      }
-    }
-  } catch (const pleat::Error&) {
-    // The session is refused.
-  }
+    for_frames([&](const pleat::v1::RefineFrame& frame) {
+      pleat::v1::RefinedFrame refined;
+      const pleat::RefinementReport& report = session.refine(frame, &refined);
+      check(report, frame, refined, faces, shapes);
+    });
+  });
 }
 
 }  // namespace

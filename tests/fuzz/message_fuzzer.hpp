@@ -14,6 +14,8 @@
 #include <utility>
 #include <vector>
 
+#include "common/base/error.hpp"
+
 namespace pleat::fuzz {
 
 inline constexpr std::size_t kMaxMessages = 6;
@@ -225,6 +227,26 @@ std::string mutated(const std::uint8_t* data, std::size_t size, std::size_t max_
   }
   const std::string bytes = write_messages(messages);
   return bytes.size() <= max_size ? bytes : std::string();
+}
+
+/// A session as a service runs it: serve(open, for_frames) opens it with the first message and calls
+/// for_frames(process), which calls process(frame) for the others. An Error is an answer: to `open` it ends the
+/// session, to a frame it does not.
+template <typename Request, typename Serve>
+void run_session(const std::vector<Request>& messages, const Serve& serve) {
+  if (messages.empty()) return;
+  const auto for_frames = [&](const auto& process) {
+    for (std::size_t i = 1; i < messages.size(); ++i) {
+      try {
+        process(messages[i].frame());
+      } catch (const Error&) {
+      }
+    }
+  };
+  try {
+    serve(messages[0].open(), for_frames);
+  } catch (const Error&) {
+  }
 }
 
 }  // namespace pleat::fuzz

@@ -220,21 +220,23 @@ class FakeConversion final : public FakeService, public v1::Conversion::Service 
 
 class FakeSuperResolution final : public FakeService, public v1::SuperResolution::Service {
  public:
-  explicit FakeSuperResolution(std::string address) : FakeService(std::move(address)) {}
+  FakeSuperResolution(std::string address, const FakeBundle& bundle)
+      : FakeService(std::move(address)), bundle_(bundle) {}
 
   grpc::Status DescribeModel(grpc::ServerContext*, const v1::DescribeModelRequest* request,
                              v1::ModelDescription* description) override {
     if (!request->model().empty() && request->model() != "fake") {
       return {grpc::StatusCode::NOT_FOUND, "no bundle '" + request->model() + "'"};
     }
-    describe(*description);
+    *description = bundle_.describe();
     return grpc::Status::OK;
   }
 
   grpc::Status Upscale(grpc::ServerContext* context,
                        grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) override {
     return serve(
-        *this, context, stream, [](const v1::UpscaleOpen&, v1::ModelDescription& model) { describe(model); },
+        *this, context, stream,
+        [this](const v1::UpscaleOpen&, v1::ModelDescription& model) { model = bundle_.describe(); },
         [](const v1::ImageFrame& coarse, std::uint64_t index, v1::ImageFrame& fine) {
           fine.set_index(index);
           fine.set_time_s(coarse.time_s());
@@ -248,13 +250,9 @@ class FakeSuperResolution final : public FakeService, public v1::SuperResolution
   }
 
  private:
-  static void describe(v1::ModelDescription& model) {
-    model.set_model("fake");
-    model.set_scale(4);
-    model.set_device("cpu");
-    model.set_precision("float32");
-  }
   std::vector<grpc::Service*> services() override { return {static_cast<v1::SuperResolution::Service*>(this)}; }
+
+  const FakeBundle& bundle_;
 };
 
 class FakeRefinement final : public FakeService, public v1::Refinement::Service {
@@ -308,6 +306,23 @@ grpc::Status Faults::next_open() {
   return refusal_;
 }
 
+FakeBundle::FakeBundle() {
+  description_.set_model("fake");
+  description_.set_scale(4);
+  description_.set_device("cpu");
+  description_.set_precision("float32");
+}
+
+v1::ModelDescription FakeBundle::describe() const {
+  const std::lock_guard lock(mutex_);
+  return description_;
+}
+
+void FakeBundle::replace(const std::function<void(v1::ModelDescription&)>& change) {
+  const std::lock_guard lock(mutex_);
+  change(description_);
+}
+
 void FakeService::start() {
   grpc::ServerBuilder builder;
   builder.AddListeningPort(address_, grpc::InsecureServerCredentials());
@@ -326,7 +341,7 @@ FakeStages::FakeStages() {
   const std::string socket = "unix:" + folder_.path().string() + "/";
   simulation_ = std::make_unique<FakeSimulation>(socket + "simulation");
   conversion_ = std::make_unique<FakeConversion>(socket + "conversion");
-  superres_ = std::make_unique<FakeSuperResolution>(socket + "superres");
+  superres_ = std::make_unique<FakeSuperResolution>(socket + "superres", bundle_);
   refinement_ = std::make_unique<FakeRefinement>(socket + "refinement");
   for (FakeService* fake : all()) fake->start();
 }
@@ -336,8 +351,8 @@ FakeStages::~FakeStages() {
 }
 
 FakeService& FakeStages::add_superres() {
-  more_.push_back(std::make_unique<FakeSuperResolution>("unix:" + folder_.path().string() + "/superres" +
-                                                        std::to_string(more_.size() + 1)));
+  more_.push_back(std::make_unique<FakeSuperResolution>(
+      "unix:" + folder_.path().string() + "/superres" + std::to_string(more_.size() + 1), bundle_));
   more_.back()->start();
   return *more_.back();
 }

@@ -8,6 +8,7 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -17,6 +18,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "pleat/v1/common.pb.h"
 #include "pleat/v1/scene.pb.h"
+#include "pleat/v1/superres.pb.h"
 #include "tests/support/temporary_folder.hpp"
 
 namespace pleat::testing {
@@ -50,6 +52,19 @@ class Faults {
   grpc::Status refusal_;
   int refusals_ = 0;
   std::atomic<std::int64_t> delay_ms_{0};
+};
+
+/// What the super-resolution services say of their bundle. Thread-safe.
+class FakeBundle {
+ public:
+  FakeBundle();
+  v1::ModelDescription describe() const;
+  /// For streams that are opened from now on.
+  void replace(const std::function<void(v1::ModelDescription&)>& change);
+
+ private:
+  mutable std::mutex mutex_;
+  v1::ModelDescription description_;
 };
 
 /// One fake service: it can be stopped and started again at its address, as after a kill.
@@ -88,11 +103,14 @@ class FakeStages {
   FakeService& refinement() { return *refinement_; }
   /// One more super-resolution service, started.
   FakeService& add_superres();
+  /// Of all super-resolution services.
+  FakeBundle& bundle() { return bundle_; }
   std::vector<FakeService*> all();
   const std::filesystem::path& folder() const { return folder_.path(); }
 
  private:
   test::TemporaryFolder folder_;
+  FakeBundle bundle_;
   std::unique_ptr<FakeService> simulation_, conversion_, superres_, refinement_;
   std::vector<std::unique_ptr<FakeService>> more_;
 };

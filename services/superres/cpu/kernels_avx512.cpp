@@ -26,33 +26,14 @@ struct Bfloat16 {
     _mm256_store_si256(reinterpret_cast<__m256i*>(p), reinterpret_cast<__m256i>(_mm512_cvtneps_pbh(v)));
   }
 
-  template <int M, int N>
-  static void multiply(const Element* a, long a_stride, const Element* b, int k, float* c) {
-    __m512 sums[M][N];
-#pragma GCC unroll 12
-    for (int m = 0; m < M; ++m) {
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) sums[m][n] = _mm512_setzero_ps();
-    }
-    for (int i = 0; i < k; i += 2) {
-      __m512bh w[N];
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) w[n] = reinterpret_cast<__m512bh>(_mm512_load_si512(b + (i * N + 2 * n) * kLanes));
-#pragma GCC unroll 12
-      for (int m = 0; m < M; ++m) {
-        int pair;
-        __builtin_memcpy(&pair, a + m * a_stride + i, sizeof pair);
-        const auto x = reinterpret_cast<__m512bh>(_mm512_set1_epi32(pair));
-#pragma GCC unroll 4
-        for (int n = 0; n < N; ++n) sums[m][n] = _mm512_dpbf16_ps(sums[m][n], x, w[n]);
-      }
-    }
-#pragma GCC unroll 12
-    for (int m = 0; m < M; ++m) {
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) _mm512_store_ps(c + (m * N + n) * kLanes, sums[m][n]);
-    }
+  using Factors = __m512bh;
+  static Factors factors(const Element* p) { return reinterpret_cast<__m512bh>(_mm512_load_si512(p)); }
+  static Factors factor(const Element* p) {
+    int pair;
+    __builtin_memcpy(&pair, p, sizeof pair);
+    return reinterpret_cast<__m512bh>(_mm512_set1_epi32(pair));
   }
+  static Vec add_products(Vec sum, Factors x, Factors w) { return _mm512_dpbf16_ps(sum, x, w); }
 
   static __m512i bits(Vec v) {
     return _mm512_maskz_cvtepu16_epi32(kAll, reinterpret_cast<__m256i>(_mm512_cvtneps_pbh(v)));
@@ -60,37 +41,6 @@ struct Bfloat16 {
   /// Two members of a group, alternating.
   static void write_group(Element* p, const Vec* v) {
     _mm512_store_si512(p, _mm512_or_si512(bits(v[0]), _mm512_maskz_slli_epi32(kAll, bits(v[1]), 16)));
-  }
-
-  template <int M, int N>
-  static void correlate(const Element* a, long a_stride, const Element* b, long b_stride, int groups, float* c,
-                        long c_stride) {
-    __m512 sums[M][N];
-#pragma GCC unroll 12
-    for (int m = 0; m < M; ++m) {
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) sums[m][n] = _mm512_setzero_ps();
-    }
-    for (int g = 0; g < groups; ++g) {
-      __m512bh w[N];
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) {
-        w[n] = reinterpret_cast<__m512bh>(_mm512_load_si512(b + g * b_stride + 2 * n * kLanes));
-      }
-#pragma GCC unroll 12
-      for (int m = 0; m < M; ++m) {
-        int pair;
-        __builtin_memcpy(&pair, a + g * a_stride + 2 * m, sizeof pair);
-        const auto x = reinterpret_cast<__m512bh>(_mm512_set1_epi32(pair));
-#pragma GCC unroll 4
-        for (int n = 0; n < N; ++n) sums[m][n] = _mm512_dpbf16_ps(sums[m][n], x, w[n]);
-      }
-    }
-#pragma GCC unroll 12
-    for (int m = 0; m < M; ++m) {
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) _mm512_store_ps(c + m * c_stride + n * kLanes, sums[m][n]);
-    }
   }
 
   /// Rows in pairs: weight (i, j) of a block is element ((i / 2) width + j) 2 + i % 2.

@@ -17,65 +17,54 @@ struct Float32 {
   static Vec read(const float* p) { return load(p); }
   static void write(float* p, Vec v) { store(p, v); }
 
-  /// c (M x N kLanes) = a (M x k) b (k x N kLanes).
-  template <int M, int N>
-  static void multiply(const float* a, long a_stride, const float* b, int k, float* c) {
-    Vec sums[M][N] = {};
-    for (int i = 0; i < k; ++i) {
-      Vec w[N];
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) w[n] = load(b + (i * N + n) * kLanes);
-#pragma GCC unroll 12
-      for (int m = 0; m < M; ++m) {
-        const Vec x = broadcast(a[m * a_stride + i]);
-#pragma GCC unroll 4
-        for (int n = 0; n < N; ++n) sums[m][n] += x * w[n];
-      }
-    }
-#pragma GCC unroll 12
-    for (int m = 0; m < M; ++m) {
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) store(c + (m * N + n) * kLanes, sums[m][n]);
-    }
-  }
+  /// kGroup factors for each lane: those at p, or the same for all.
+  using Factors = Vec;
+  static Factors factors(const float* p) { return load(p); }
+  static Factors factor(const float* p) { return broadcast(*p); }
+  static Vec add_products(Vec sum, Factors x, Factors w) { return sum + x * w; }
 
   /// One group: its only member.
   static void write_group(float* p, const Vec* v) { store(p, v[0]); }
-
-  /// c (M x N kLanes), rows c_stride apart, = sum over groups of a (M) b (N kLanes).
-  template <int M, int N>
-  static void correlate(const float* a, long a_stride, const float* b, long b_stride, int groups, float* c,
-                        long c_stride) {
-    Vec sums[M][N] = {};
-    for (int g = 0; g < groups; ++g) {
-      Vec w[N];
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) w[n] = load(b + g * b_stride + n * kLanes);
-#pragma GCC unroll 12
-      for (int m = 0; m < M; ++m) {
-        const Vec x = broadcast(a[g * a_stride + m]);
-#pragma GCC unroll 4
-        for (int n = 0; n < N; ++n) sums[m][n] += x * w[n];
-      }
-    }
-#pragma GCC unroll 12
-    for (int m = 0; m < M; ++m) {
-#pragma GCC unroll 4
-      for (int n = 0; n < N; ++n) store(c + m * c_stride + n * kLanes, sums[m][n]);
-    }
-  }
 
   /// Weights of one point in packed order: row i, column block of `width`.
   static void write_weights(float* block, int i, int width, int column, Vec v) { store(block + i * width + column, v); }
 };
 
+/// A matrix product whose sums stay in registers: c (rows, N kLanes) = sum over the steps of a (rows, kGroup) times
+/// b (kGroup, N kLanes). Strides in elements; those of b and c are multiples of kLanes.
+template <class Element>
+struct Product {
+  const Element* a;
+  long a_row, a_step;
+  const Element* b;
+  long b_step;
+  int steps;
+  float* c;
+  long c_row;
+};
+
 template <class Type, int N, int M = kMost>
-void multiply_rows(int rows, const typename Type::Element* a, long a_stride, const typename Type::Element* b, int k,
-                   float* c) {
-  if (rows == M) {
-    Type::template multiply<M, N>(a, a_stride, b, k, c);
-  } else if constexpr (M > 1) {
-    multiply_rows<Type, N, M - 1>(rows, a, a_stride, b, k, c);
+void multiply_rows(int rows, const Product<typename Type::Element>& p) {
+  if (rows < M) {
+    if constexpr (M > 1) multiply_rows<Type, N, M - 1>(rows, p);
+    return;
+  }
+  Vec sums[M][N] = {};
+  for (int i = 0; i < p.steps; ++i) {
+    typename Type::Factors w[N];
+#pragma GCC unroll 4
+    for (int n = 0; n < N; ++n) w[n] = Type::factors(p.b + i * p.b_step + n * kLanes * Type::kGroup);
+#pragma GCC unroll 12
+    for (int m = 0; m < M; ++m) {
+      const auto x = Type::factor(p.a + m * p.a_row + i * p.a_step);
+#pragma GCC unroll 4
+      for (int n = 0; n < N; ++n) sums[m][n] = Type::add_products(sums[m][n], x, w[n]);
+    }
+  }
+#pragma GCC unroll 12
+  for (int m = 0; m < M; ++m) {
+#pragma GCC unroll 4
+    for (int n = 0; n < N; ++n) store(p.c + m * p.c_row + n * kLanes, sums[m][n]);
   }
 }
 
@@ -186,8 +175,9 @@ void convolve3_block(const Geometry& g, const ConvolutionCall& call, int tile, i
   const Element* input = static_cast<const Element*>(call.input) + (tile - call.origin * g.tiles_x) * tiles;
   const Element* weights = static_cast<const Element*>(call.weights) + static_cast<long>(first) * call.k;
   for (int p = 0; p < kPoints; ++p) {
-    multiply_rows<Type, N>(rows, input + p * points, tiles, weights + static_cast<long>(p) * call.k * call.n, call.k,
-                           call.scratch + static_cast<long>(p) * rows * kWidth);
+    multiply_rows<Type, N>(rows, {input + p * points, tiles, Type::kGroup,
+                                  weights + static_cast<long>(p) * call.k * call.n, kWidth * Type::kGroup,
+                                  call.k / Type::kGroup, call.scratch + static_cast<long>(p) * rows * kWidth, kWidth});
   }
   for (int m = 0; m < rows; ++m) {
     for (int n = 0; n < N; ++n) {
@@ -221,15 +211,19 @@ void convolve1(const Geometry& g, const ConvolutionCall& call, int begin, int en
       const long pixel = static_cast<long>(y + 1) * g.row + x + 1;
       const Element* input = static_cast<const Element*>(call.input) + pixel * call.input_stride;
       // All sums before the first output, which may lie in the input.
+      const auto product = [&](int n, int width) -> Product<Element> {
+        return {input,
+                call.input_stride,
+                Type::kGroup,
+                weights + static_cast<long>(n) * call.k,
+                width * Type::kGroup,
+                call.k / Type::kGroup,
+                call.scratch + n * rows,
+                width};
+      };
       int n = 0;
-      for (; n + 2 * kLanes <= call.n; n += 2 * kLanes) {
-        multiply_rows<Type, 2>(rows, input, call.input_stride, weights + static_cast<long>(n) * call.k, call.k,
-                               call.scratch + n * rows);
-      }
-      if (n < call.n) {
-        multiply_rows<Type, 1>(rows, input, call.input_stride, weights + static_cast<long>(n) * call.k, call.k,
-                               call.scratch + n * rows);
-      }
+      for (; n + 2 * kLanes <= call.n; n += 2 * kLanes) multiply_rows<Type, 2>(rows, product(n, 2 * kLanes));
+      if (n < call.n) multiply_rows<Type, 1>(rows, product(n, kLanes));
       for (n = 0; n < call.n; n += kLanes) {
         // A block has two vectors a row, but for a last one alone.
         const int width = (n / kLanes) % 2 == 0 && n + kLanes == call.n ? kLanes : 2 * kLanes;
@@ -380,16 +374,6 @@ void group_pixels(const Geometry& g, const GroupCall& call) {
   }
 }
 
-template <class Type, int N, int M = kMost>
-void correlate_rows(int rows, const typename Type::Element* a, long a_stride, const typename Type::Element* b,
-                    long b_stride, int groups, float* c, long c_stride) {
-  if (rows == M) {
-    Type::template correlate<M, N>(a, a_stride, b, b_stride, groups, c, c_stride);
-  } else if constexpr (M > 1) {
-    correlate_rows<Type, N, M - 1>(rows, a, a_stride, b, b_stride, groups, c, c_stride);
-  }
-}
-
 template <class Type>
 void correlate(const CorrelateCall& call) {
   using Element = typename Type::Element;
@@ -402,15 +386,19 @@ void correlate(const CorrelateCall& call) {
     float* sums = call.sums + static_cast<long>(p) * call.k * call.n;
     for (int block = 0; block < blocks; ++block) {
       const int i = call.k * block / blocks, rows = call.k * (block + 1) / blocks - i;
+      const auto product = [&](int j) -> Product<Element> {
+        return {a + i * kGroup,
+                kGroup,
+                a_stride,
+                b + j * kGroup,
+                b_stride,
+                call.groups,
+                sums + static_cast<long>(i) * call.n + j,
+                call.n};
+      };
       int j = 0;
-      for (; j + 2 * kLanes <= call.n; j += 2 * kLanes) {
-        correlate_rows<Type, 2>(rows, a + i * kGroup, a_stride, b + j * kGroup, b_stride, call.groups,
-                                sums + static_cast<long>(i) * call.n + j, call.n);
-      }
-      if (j < call.n) {
-        correlate_rows<Type, 1>(rows, a + i * kGroup, a_stride, b + j * kGroup, b_stride, call.groups,
-                                sums + static_cast<long>(i) * call.n + j, call.n);
-      }
+      for (; j + 2 * kLanes <= call.n; j += 2 * kLanes) multiply_rows<Type, 2>(rows, product(j));
+      if (j < call.n) multiply_rows<Type, 1>(rows, product(j));
     }
   }
 }

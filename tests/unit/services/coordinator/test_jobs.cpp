@@ -134,6 +134,20 @@ TEST_F(JobsTest, FaultsInEveryStageLeaveTheSameBits) {
   EXPECT_NE(metrics_.text().find("pleat_reconnects_total"), std::string::npos);
 }
 
+TEST_F(JobsTest, AReplacedBundleFailsTheJobThatMeetsIt) {
+  start();
+  fakes_.simulation().faults.delay(2ms);
+  create(100'000, "a");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 5; }));
+  fakes_.bundle().replace([](v1::ModelDescription& model) { model.mutable_normalization()->add_minimum(-1); });
+  fakes_.superres().stop();
+  fakes_.superres().start();
+  const v1::Job job = finished("a");
+  EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
+  EXPECT_NE(job.error().find("replaced meanwhile by one with another normalisation"), std::string::npos) << job.error();
+  expect_right(job.result_path(), job.frames_complete());
+}
+
 TEST_F(JobsTest, AFrameErrorKeepsTheJobAndTheUpsampledFrame) {
   start();
   fakes_.superres().faults.at(5, Faults::Kind::kFrameError);
@@ -255,6 +269,21 @@ TEST_F(JobsTest, ARestartedCoordinatorGoesOn) {
   EXPECT_EQ(job.summary().penetrations(), 1U) << "counted once over both runs";
   EXPECT_LT(fakes_.simulation().frames - before, 60 + 60 - 10) << "it went on at a check-point";
   EXPECT_EQ(get("ended").state(), v1::Job::STATE_DONE);
+}
+
+TEST_F(JobsTest, ARestartedCoordinatorDoesNotMixBundles) {
+  start();
+  fakes_.simulation().faults.delay(3ms);
+  create(100'000, "a");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 20; }));
+  stop();
+  fakes_.bundle().replace([](v1::ModelDescription& model) { model.set_metadata_json("{}"); });
+  start();
+  const v1::Job job = finished("a");
+  EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
+  EXPECT_EQ(job.error(), "bundle fake was replaced meanwhile by one with another training; begin anew");
+  EXPECT_GE(job.frames_complete(), 20U);
+  expect_right(job.result_path(), job.frames_complete());
 }
 
 TEST_F(JobsTest, AMissingServiceIsNamedWithItsAddress) {

@@ -7,12 +7,14 @@
 #include "common/frame/messages.hpp"
 #include "common/rpc/channel.hpp"
 #include "services/coordinator/pipeline.hpp"
+#include "tests/support/errors.hpp"
 #include "tests/support/fake_stages.hpp"
 
 namespace pleat::coordinator {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using testing::Faults;
 
 LinkOptions fast_link() {
@@ -159,28 +161,75 @@ TEST_F(PipelineTest, AServiceThatStaysAwayIsNamed) {
   fakes_.refinement().stop();
   pipeline->push(frame(0));
   pipeline->close();
-  try {
-    pipeline->wait();
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_EQ(e.code(), ErrorCode::kUnavailable);
-    const std::string message = e.what();
-    EXPECT_NE(message.find("refinement at " + fakes_.refinement().address()), std::string::npos) << message;
-    EXPECT_NE(message.find("gave up after 1500 ms"), std::string::npos) << message;
-  }
+  const Error e = error_of([&] { pipeline->wait(); });
+  EXPECT_EQ(e.code(), ErrorCode::kUnavailable);
+  const std::string message = e.what();
+  EXPECT_NE(message.find("refinement at " + fakes_.refinement().address()), std::string::npos) << message;
+  EXPECT_NE(message.find("gave up after 1500 ms"), std::string::npos) << message;
   EXPECT_FALSE(pipeline->push(frame(1)));
 }
 
 TEST_F(PipelineTest, ARefusedOpenFailsAtOnce) {
   fakes_.superres().faults.refuse({grpc::StatusCode::FAILED_PRECONDITION, "trained for another mesh"}, 1);
   const auto pipeline = make();
-  try {
+  const Error e = error_of([&] { pipeline->wait_open(); });
+  EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
+  EXPECT_NE(std::string(e.what()).find("another mesh"), std::string::npos);
+}
+
+/// Sends frames; at frame 5 the stream to superres breaks, and meanwhile its bundle is replaced.
+class ReplacedBundle : public PipelineTest {
+ protected:
+  void run_replaced(const std::function<void(v1::ModelDescription&)>& change) {
+    session_.model = fakes_.bundle().describe();
+    const auto pipeline = make();
     pipeline->wait_open();
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
-    EXPECT_NE(std::string(e.what()).find("another mesh"), std::string::npos);
+    fakes_.bundle().replace(change);
+    fakes_.superres().faults.at(5, Faults::Kind::kBreak);
+    for (std::uint64_t i = 0; i < 20 && pipeline->push(frame(i)); ++i) {
+    }
+    pipeline->close();
+    pipeline->wait();
   }
+
+  /// The session ends with this difference, and what came out before is right.
+  void expect_ended(const std::string& difference, const std::function<void(v1::ModelDescription&)>& change) {
+    SCOPED_TRACE(difference);
+    out_.clear();
+    const Error e = error_of([&] { run_replaced(change); });
+    EXPECT_EQ(e.code(), ErrorCode::kFailedPrecondition);
+    EXPECT_EQ(e.what(), "superres at " + fakes_.superres().address() +
+                            ": bundle fake was replaced meanwhile by one with another " + difference + "; begin anew");
+    EXPECT_LE(out_.size(), 5U);
+    expect_right(out_.size());
+  }
+};
+
+TEST_F(ReplacedBundle, EndsTheSessionAndSaysWhatDiffers) {
+  using Model = v1::ModelDescription;
+  expect_ended("normalisation", [](Model& m) { m.mutable_normalization()->add_minimum(-1); });
+  expect_ended("normalisation", [](Model& m) { m.mutable_normalization()->set_minimum(0, -2); });
+  expect_ended("image size", [](Model& m) { m.set_coarse_width(60); });
+  expect_ended("list of channels", [](Model& m) { m.add_channels("displacement_x"); });
+  expect_ended("mesh", [](Model& m) { m.set_topology_hash("0123456789abcdef"); });
+  expect_ended("architecture", [](Model& m) { m.set_parameters(1234); });
+  expect_ended("training", [](Model& m) { m.set_metadata_json("{}"); });
+}
+
+TEST_F(ReplacedBundle, ThatRunsElsewhereIsTheSameBundle) {
+  run_replaced([](v1::ModelDescription& m) {
+    m.set_device("cuda:0");
+    m.set_precision("bfloat16");
+  });
+  expect_right(20);
+  EXPECT_EQ(fakes_.superres().opened, 2);
+}
+
+TEST_F(ReplacedBundle, BeforeTheFirstStreamEndsTheSession) {
+  session_.model = fakes_.bundle().describe();
+  fakes_.bundle().replace([](v1::ModelDescription& m) { m.mutable_normalization()->add_minimum(-1); });
+  const auto pipeline = make();
+  EXPECT_EQ(error_of([&] { pipeline->wait_open(); }).code(), ErrorCode::kFailedPrecondition);
 }
 
 TEST_F(PipelineTest, AFrameErrorConcernsItsFrameOnly) {
@@ -259,12 +308,7 @@ TEST_F(PipelineTest, ASinkThatThrowsFailsTheSession) {
   for (std::uint64_t i = 0; i < 50 && pipeline->push(frame(i)); ++i) {
   }
   pipeline->close();
-  try {
-    pipeline->wait();
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_STREQ(e.what(), "disk full: result.h5");
-  }
+  EXPECT_STREQ(error_of([&] { pipeline->wait(); }).what(), "disk full: result.h5");
 }
 
 TEST_F(PipelineTest, CancellingFreesEveryStage) {
@@ -294,13 +338,9 @@ TEST(SplitAddresses, CommasSeparateReplicas) {
 TEST_F(PipelineTest, AnUnknownBundleIsNamedByTheService) {
   const auto never = [] { return false; };
   EXPECT_EQ(describe_model(addresses_, fast_link(), "", never).model(), "fake");
-  try {
-    describe_model(addresses_, fast_link(), "nobody", never);
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_EQ(e.code(), ErrorCode::kNotFound);
-    EXPECT_NE(std::string(e.what()).find("no bundle 'nobody'"), std::string::npos);
-  }
+  const Error e = error_of([&] { describe_model(addresses_, fast_link(), "nobody", never); });
+  EXPECT_EQ(e.code(), ErrorCode::kNotFound);
+  EXPECT_NE(std::string(e.what()).find("no bundle 'nobody'"), std::string::npos);
 }
 
 }  // namespace

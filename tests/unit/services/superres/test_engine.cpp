@@ -6,17 +6,18 @@
 #include <fstream>
 #include <thread>
 
-#include "common/base/error.hpp"
 #include "services/superres/batcher.hpp"
 #include "services/superres/bundle.hpp"
 #include "services/superres/engine.hpp"
 #include "services/superres/network.hpp"
+#include "tests/support/errors.hpp"
 #include "tests/support/temporary_folder.hpp"
 
 namespace pleat::superres {
 namespace {
 
 namespace fs = std::filesystem;
+using test::error_of;
 using testing::HasSubstr;
 
 class EngineTest : public testing::Test {
@@ -76,16 +77,6 @@ class EngineTest : public testing::Test {
     o.use_cuda = false;
     o.largest_batch = 2;
     return o;
-  }
-
-  template <typename Body>
-  static Error error_of(Body body) {
-    try {
-      body();
-    } catch (const Error& error) {
-      return error;
-    }
-    return Error(ErrorCode::kInternal, "no error");
   }
 
   const test::TemporaryFolder temporary_;

@@ -5,10 +5,10 @@
 #include <cmath>
 #include <filesystem>
 
-#include "common/base/error.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/superres/training/pairs.hpp"
+#include "tests/support/errors.hpp"
 #include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/superres/example_dataset.hpp"
 
@@ -16,6 +16,7 @@ namespace pleat::superres {
 namespace {
 
 namespace fs = std::filesystem;
+using test::error_of;
 using testing::HasSubstr;
 
 class LoadPairs : public testing::Test {
@@ -122,25 +123,16 @@ TEST_F(LoadPairs, NamedValidationSequencesLeaveTraining) {
   c.validation.sequences = {"a", "b"};
   EXPECT_THROW(load_pairs(c, quiet), Error);  // nothing left to train on
   c.validation.sequences = {"nobody"};
-  try {
-    load_pairs(c, quiet);
-    FAIL() << "accepted";
-  } catch (const Error& error) {
-    EXPECT_THAT(error.what(), HasSubstr("nobody"));
-  }
+  EXPECT_THAT(error_of([&] { load_pairs(c, quiet); }).what(), HasSubstr("nobody"));
 }
 
 TEST_F(LoadPairs, MemoryLimitIsCheckedFirst) {
   write(true);
   TrainConfig c = config();
   c.images.coarse_width = 240, c.images.coarse_height = 180, c.cache_limit_mb = 1;
-  try {
-    load_pairs(c, quiet);
-    FAIL() << "accepted";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::kResourceExhausted);
-    EXPECT_THAT(error.what(), HasSubstr("cache_limit_mb"));
-  }
+  const Error error = error_of([&] { load_pairs(c, quiet); });
+  EXPECT_EQ(error.code(), ErrorCode::kResourceExhausted);
+  EXPECT_THAT(error.what(), HasSubstr("cache_limit_mb"));
 }
 
 TEST_F(LoadPairs, UnusableSequencesAreSkippedAndNamed) {
@@ -161,13 +153,9 @@ TEST_F(LoadPairs, UnusableSequencesAreSkippedAndNamed) {
   EXPECT_THAT(said, HasSubstr("warning: skipped: sequence half: 3 of 7 frames"));
   TrainConfig strict = config();
   strict.strict = true;
-  try {
-    load_pairs(strict, quiet);
-    FAIL() << "accepted";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::kDataLoss);
-    EXPECT_THAT(error.what(), HasSubstr("sequence cut"));
-  }
+  const Error error = error_of([&] { load_pairs(strict, quiet); });
+  EXPECT_EQ(error.code(), ErrorCode::kDataLoss);
+  EXPECT_THAT(error.what(), HasSubstr("sequence cut"));
 }
 
 TEST_F(LoadPairs, AnotherMeshOrNothingToTrainOnIsRefused) {
@@ -181,13 +169,9 @@ TEST_F(LoadPairs, AnotherMeshOrNothingToTrainOnIsRefused) {
   untrained.sequences = {"b"};
   write_dataset_master(folder_, untrained);
   write_sequence(folder_, untrained, "b", "test", 1);
-  try {
-    load_pairs(config(), quiet);
-    FAIL() << "accepted";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
-    EXPECT_THAT(error.what(), HasSubstr("split 'train'"));
-  }
+  const Error error = error_of([&] { load_pairs(config(), quiet); });
+  EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
+  EXPECT_THAT(error.what(), HasSubstr("split 'train'"));
 }
 
 TEST_F(LoadPairs, ImagesAreConvertedOnceAndDamagedFilesAgain) {
@@ -221,12 +205,7 @@ TEST_F(LoadPairs, ImagesAreConvertedOnceAndDamagedFilesAgain) {
 }
 
 TEST_F(LoadPairs, AbsentDataSetIsNamed) {
-  try {
-    load_pairs(config(), quiet);
-    FAIL() << "accepted";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::kNotFound);
-  }
+  EXPECT_EQ(error_of([&] { load_pairs(config(), quiet); }).code(), ErrorCode::kNotFound);
 }
 
 }  // namespace
