@@ -30,6 +30,8 @@ struct LossConstants {
   torch::Tensor vertex_weights;  ///< (K, V)
   torch::Tensor faces, edges;    ///< (3, F) and (2, E) int64
   torch::Tensor edge_lengths;    ///< (E): of the rest mesh, metres
+
+  /// Sets what the losses on vertices need, which have nothing to read without it.
   void set_vertices(const VertexRead& read, const torch::Device& device);
 };
 

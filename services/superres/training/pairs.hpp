@@ -60,7 +60,6 @@ struct VertexRead {
   std::vector<std::int64_t> edges;   ///< (2 x E): those with a length in the rest mesh
 
   std::int64_t vertex_count() const { return static_cast<std::int64_t>(rest.size() / 3); }
-  std::int64_t reads() const { return static_cast<std::int64_t>(texels.size()) / vertex_count(); }  ///< K
 };
 
 /// One sequence of consecutive frames.
