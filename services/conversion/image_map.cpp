@@ -16,13 +16,6 @@ namespace {
 
 using Features = Eigen::Matrix<float, Eigen::Dynamic, kImageChannels, Eigen::RowMajor>;
 
-// Sparse rows: value of output i = sum of weights times inputs.
-struct SparseRows {
-  std::vector<std::uint32_t> offsets{0};
-  std::vector<std::uint32_t> inputs;
-  std::vector<float> weights;
-};
-
 // One texel: three vertices with weights; padding repeats its source's.
 struct TexelTaps {
   std::array<std::uint32_t, 3> vertex;
@@ -112,7 +105,7 @@ std::vector<std::uint8_t> make_mask(const ChartRaster& raster) {
 }
 
 // For each vertex the mean of the reads of its material coordinates.
-SparseRows make_vertex_reads(const Topology& t, const ChartRaster& raster) {
+VertexReads make_vertex_reads(const Topology& t, const ChartRaster& raster) {
   std::vector<std::vector<std::uint32_t>> coordinates(static_cast<std::size_t>(t.vertex_count()));
   for (Eigen::Index f = 0; f < t.face_count(); ++f) {
     for (int k = 0; k < 3; ++k) {
@@ -120,16 +113,16 @@ SparseRows make_vertex_reads(const Topology& t, const ChartRaster& raster) {
       if (std::find(list.begin(), list.end(), t.uv_faces(f, k)) == list.end()) list.push_back(t.uv_faces(f, k));
     }
   }
-  SparseRows rows;
+  VertexReads rows;
   for (const auto& list : coordinates) {
     for (const std::uint32_t u : list) {
       for (std::size_t i = 0; i < 4; ++i) {
         if (raster.reads[u].weight[i] == 0) continue;
-        rows.inputs.push_back(raster.reads[u].texel[i]);
+        rows.texels.push_back(raster.reads[u].texel[i]);
         rows.weights.push_back(raster.reads[u].weight[i] / static_cast<float>(list.size()));
       }
     }
-    rows.offsets.push_back(static_cast<std::uint32_t>(rows.inputs.size()));
+    rows.offsets.push_back(static_cast<std::uint32_t>(rows.texels.size()));
   }
   return rows;
 }
@@ -231,7 +224,7 @@ struct ImageMap::Maps {
   TexelGrid coarse_grid, fine_grid;
   std::vector<std::uint8_t> coarse_mask, fine_mask;
   std::vector<TexelTaps> coarse_taps, fine_taps;
-  SparseRows vertex_reads;  // fine vertices from fine texels
+  VertexReads vertex_reads;
   ChartRaster fine_raster;
   mutable ScratchPool scratch;
   mutable std::once_flag fit_once;
@@ -266,7 +259,7 @@ void ImageMap::Maps::read(const Tensor& image, int first_channel, const RigidTra
     const auto row = static_cast<std::size_t>(v);
     Eigen::Vector3f sum = Eigen::Vector3f::Zero();
     for (std::uint32_t i = vertex_reads.offsets[row]; i < vertex_reads.offsets[row + 1]; ++i) {
-      const std::uint32_t texel = vertex_reads.inputs[i];
+      const std::uint32_t texel = vertex_reads.texels[i];
       sum += vertex_reads.weights[i] * Eigen::Vector3f(x[texel], y[texel], z[texel]);
     }
     const Eigen::Vector3f aligned = sum + add(v);
@@ -390,6 +383,8 @@ void ImageMap::to_mesh(const Tensor& image, const RigidTransform& transform, Pos
       image, kDisplacementChannel, transform,
       [&](Eigen::Index v) -> Eigen::Vector3f { return rest.row(v).transpose() - transform.translation; }, positions);
 }
+
+const VertexReads& ImageMap::vertex_reads() const { return maps_->vertex_reads; }
 
 Positions ImageMap::velocities(const Tensor& image, const RigidTransform& transform) const {
   Positions result;

@@ -45,6 +45,14 @@ struct CoarseImage {
   RigidTransform transform;
 };
 
+/// How a fine image is read at the fine vertices: vertex v gets the sum over offsets[v] <= i < offsets[v + 1] of
+/// weights[i] times texel texels[i] (row-major). A vertex that no face uses reads nothing.
+struct VertexReads {
+  std::vector<std::uint32_t> offsets{0};
+  std::vector<std::uint32_t> texels;
+  std::vector<float> weights;
+};
+
 /// The sparse maps between the meshes of one session and their images. Every const member may be called from several
 /// threads; those that write into the caller's memory take none of their own once they have run.
 class ImageMap {
@@ -93,6 +101,9 @@ class ImageMap {
   /// image: (C, H, W) with C >= 3. Throws kInvalidArgument for another shape or values that are not finite.
   Positions to_mesh(const Tensor& image, const RigidTransform& transform) const;
   void to_mesh(const Tensor& image, const RigidTransform& transform, Positions& positions) const;
+
+  /// What to_mesh reads: displacements in the frame of the alignment, to which it adds the rest positions.
+  const VertexReads& vertex_reads() const;
 
   /// Fine velocities (V_fine x 3) from the velocity channels, rotated back. image: (9, H, W).
   Positions velocities(const Tensor& image, const RigidTransform& transform) const;

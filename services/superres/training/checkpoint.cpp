@@ -115,7 +115,9 @@ void load_checkpoint(const std::string& path, const std::string& config_json, Ne
     state.step = document.at("step").get<int>();
     state.minutes = document.at("minutes").get<double>();
     const auto sums = document.at("sums").get<std::vector<double>>();
-    if (sums.size() != std::size(state.sums)) throw_data_loss(path + ": check-point: wrong number of sums");
+    // Those from before the losses on vertices hold fewer.
+    if (sums.empty() || sums.size() > std::size(state.sums))
+      throw_data_loss(path + ": check-point: wrong number of sums");
     std::copy(sums.begin(), sums.end(), std::begin(state.sums));
     state.best_score = document.at("best_score").get<double>();
     state.best_epoch = document.at("best_epoch").get<int>();

@@ -8,12 +8,15 @@
 
 namespace pleat::superres {
 
+inline constexpr int kLossParts = 8;
+
 /// Everything beside tensors that a training needs to go on exactly.
 struct TrainState {
-  int epoch = 0;          ///< in progress
-  int step = 0;           ///< next step of that epoch
-  double minutes = 0;     ///< wall clock of all runs so far
-  double sums[5] = {};    ///< of total, displacement, normal, velocity, kinematic over the epoch's steps
+  int epoch = 0;       ///< in progress
+  int step = 0;        ///< next step of that epoch
+  double minutes = 0;  ///< wall clock of all runs so far
+  /// Of total, displacement, normal, velocity, kinematic, vertices, vertex normals and edges over the epoch's steps.
+  double sums[kLossParts] = {};
   double best_score = 0;  ///< VMSE, or MSE of the displacement image without a judge; 0: none yet
   int best_epoch = -1;
   std::string best_report;  ///< JSON: the epoch report of the best bundle

@@ -45,6 +45,9 @@ void visit(Visitor& v, Config& c) {
     v.range("normal", c.losses.normal, 0, 1e6);
     v.range("velocity", c.losses.velocity, 0, 1e6);
     v.range("kinematic", c.losses.kinematic, 0, 1e6);
+    v.range("vertices", c.losses.vertices, 0, 1e6);
+    v.range("vertex_normals", c.losses.vertex_normals, 0, 1e6);
+    v.range("edges", c.losses.edges, 0, 1e6);
     v.range("frames", c.losses.frames, 1, 16);
     v.choice("target", c.losses.target, {"synthesized", "ground_truth"});
     v.choice("alignment", c.losses.alignment, {"exact", "shared"});
@@ -215,6 +218,10 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   if (config.architecture.kind == "chen2018" && config.patch != 0) {
     throw_invalid_argument(source + ": key 'architecture.kind' = 'chen2018' needs whole images, 'patch' = 0");
   }
+  if (config.losses.needs_vertices() && config.patch != 0) {
+    throw_invalid_argument(source + ": keys 'losses.vertices', '.vertex_normals' and '.edges' need whole images, " +
+                           "'patch' = 0");
+  }
   if (config.every_frames > 1 && config.losses.kinematic > 0) {
     throw_invalid_argument(source + ": key 'losses.kinematic' needs consecutive frames, 'every_frames' = 1");
   }
@@ -280,7 +287,13 @@ std::string to_json(const TrainConfig& config) {
 }
 
 std::string first_difference(const std::string& a, const std::string& b) {
-  const json left = json::parse(a).flatten(), right = json::parse(b).flatten();
+  const json defaults = json::parse(to_json(TrainConfig{}));
+  const auto whole = [&](const std::string& text) {
+    json result = defaults;
+    result.merge_patch(json::parse(text));
+    return result.flatten();
+  };
+  const json left = whole(a), right = whole(b);
   static const char* const kFree[] = {"/output",         "/epochs",  "/threads", "/max_minutes",  "/checkpoint_minutes",
                                       "/cache_limit_mb", "/initial", "/dataset", "/cache_folder", "/strict",
                                       "/micro_batch"};

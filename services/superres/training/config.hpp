@@ -19,11 +19,15 @@ struct ImagesConfig {
 struct LossConfig {
   double displacement = 0.9, normal = 0.03, velocity = 0.03, kinematic = 0.03;  ///< weights of [MFSR] eq. 6
   int frames = 3;                                                               ///< n of eq. 5
+  /// Weights of the losses on the fine mesh that is read from the image: positions, normals, lengths of edges.
+  double vertices = 0, vertex_normals = 0, edges = 0;
   std::string target = "synthesized";  ///< d_k of eq. 5: "synthesized" (the paper) or "ground_truth" (its supplement)
   std::string alignment = "exact";     ///< "exact": each frame's own rigid alignment; "shared": the first one's, eq. 5
   /// "none": mean squares in normalised units, as published; "deviation": each channel is divided by the deviation of
   /// what the bilinearly upsampled coarse image lacks, so that the weights compare like with like.
   std::string scaling = "none";
+
+  bool needs_vertices() const { return vertices > 0 || vertex_normals > 0 || edges > 0; }
 };
 
 struct OptimizerConfig {
@@ -94,8 +98,9 @@ TrainConfig read_train_config(const std::string& path, const std::vector<std::st
 /// All keys, with defaults filled in.
 std::string to_json(const TrainConfig& config);
 
-/// The first key, among those that change what is computed, in which two configurations differ; "" if none. Time
-/// limits, threads, folders and the number of epochs may change between a run and its resumption.
+/// The first key, among those that change what is computed, in which two configurations differ; "" if none. A key that
+/// is missing, because the configuration is older than the key, has its default. Time limits, threads, folders and the
+/// number of epochs may change between a run and its resumption.
 std::string first_difference(const std::string& a, const std::string& b);
 
 }  // namespace pleat::superres

@@ -10,6 +10,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
+#include "common/mesh/connectivity.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/conversion/image_map.hpp"
@@ -200,6 +201,37 @@ std::vector<std::array<float, 3>> flat_sheet_axes(const Topology& mesh) {
   return {to_array(u), to_array(v)};
 }
 
+VertexRead make_vertex_read(const VertexReads& reads, const Topology& fine) {
+  VertexRead result;
+  const auto vertices = static_cast<std::size_t>(fine.vertex_count());
+  std::size_t most = 1;
+  for (std::size_t v = 0; v < vertices; ++v) {
+    most = std::max<std::size_t>(most, reads.offsets[v + 1] - reads.offsets[v]);
+  }
+  result.texels.assign(most * vertices, 0);
+  result.weights.assign(most * vertices, 0.0F);
+  for (std::size_t v = 0; v < vertices; ++v) {
+    for (std::size_t i = reads.offsets[v]; i < reads.offsets[v + 1]; ++i) {
+      const std::size_t place = (i - reads.offsets[v]) * vertices + v;
+      result.texels[place] = reads.texels[i];
+      result.weights[place] = reads.weights[i];
+    }
+  }
+  // Column by column.
+  const auto rest = fine.rest_positions.reshaped<Eigen::ColMajor>();
+  const auto faces = fine.faces.reshaped<Eigen::ColMajor>();
+  result.rest.assign(rest.begin(), rest.end());
+  result.faces.assign(faces.begin(), faces.end());
+  std::vector<std::int64_t> ends;
+  for (const Edge& edge : build_connectivity(fine.vertex_count(), fine.faces).edges) {
+    if (fine.rest_positions.row(edge.v0) == fine.rest_positions.row(edge.v1)) continue;
+    result.edges.push_back(edge.v0);
+    ends.push_back(edge.v1);
+  }
+  result.edges.insert(result.edges.end(), ends.begin(), ends.end());
+  return result;
+}
+
 bool in_validation(const TrainConfig& config, const SequenceInfo& sequence) {
   const auto& names = config.validation.sequences;
   if (!names.empty()) return std::find(names.begin(), names.end(), sequence.name) != names.end();
@@ -337,6 +369,7 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
       master.topology, data.normalization);
   json names = {{"train", json::array()}, {"validation", json::array()}};
   if (needs_mesh(config.architecture)) data.mesh_base = make_mesh_base(master.topology, make_spec(config.images));
+  if (config.losses.needs_vertices()) data.vertex_read = make_vertex_read(map->vertex_reads(), master.topology.fine);
   for (const SequenceInfo& info : sequences) {
     PairSequence sequence;
     sequence.name = info.name;

@@ -7,6 +7,7 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <sstream>
+#include <tuple>
 
 #include "common/base/error.hpp"
 
@@ -18,14 +19,16 @@ using nlohmann::json;
 constexpr const char* kHeader =
     "epoch,steps,minutes,learning_rate,total,displacement,normal,velocity,kinematic,psnr_db,psnr_normal_db,"
     "psnr_velocity_db,vmse_m2,rmse_m,best";
-constexpr int kColumns = 15;
+constexpr const char* kVertexColumns = ",vertices,vertex_normals,edges";  ///< not in older files
+constexpr std::size_t kColumns = 15, kAllColumns = 18;
 
 std::string csv_row(const EpochReport& r) {
   char row[512];
-  std::snprintf(row, sizeof row, "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.6f,%.6f,%.17g,%.9g,%d", r.epoch,
+  std::snprintf(row, sizeof row,
+                "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.6f,%.6f,%.17g,%.9g,%d,%.9g,%.9g,%.9g", r.epoch,
                 static_cast<long long>(r.steps), r.minutes, r.learning_rate, r.total, r.displacement, r.normal,
                 r.velocity, r.kinematic, r.psnr_db, r.psnr_normal_db, r.psnr_velocity_db, r.vmse_m2,
-                std::sqrt(r.vmse_m2), r.best ? 1 : 0);
+                std::sqrt(r.vmse_m2), r.best ? 1 : 0, r.vertices, r.vertex_normals, r.edges);
   return row;
 }
 
@@ -134,6 +137,9 @@ std::string to_json(const EpochReport& r) {
               {"normal", r.normal},
               {"velocity", r.velocity},
               {"kinematic", r.kinematic},
+              {"vertices", r.vertices},
+              {"vertex_normals", r.vertex_normals},
+              {"edges", r.edges},
               {"validated", r.validated},
               {"psnr_db", r.psnr_db},
               {"psnr_normal_db", r.psnr_normal_db},
@@ -152,6 +158,9 @@ EpochReport report_from_json(const std::string& text) {
   r.normal = d.at("normal"), r.velocity = d.at("velocity"), r.kinematic = d.at("kinematic");
   r.validated = d.at("validated"), r.psnr_db = d.at("psnr_db"), r.vmse_m2 = d.at("vmse_m2"), r.best = d.at("best");
   r.psnr_normal_db = d.at("psnr_normal_db"), r.psnr_velocity_db = d.at("psnr_velocity_db");
+  // Not in check-points from before these losses.
+  r.vertices = d.value("vertices", 0.0), r.vertex_normals = d.value("vertex_normals", 0.0);
+  r.edges = d.value("edges", 0.0);
   return r;
 }
 
@@ -160,19 +169,21 @@ std::vector<EpochReport> read_log(const std::string& path, int last_epoch) {
   std::ifstream file(path);
   std::string line;
   std::getline(file, line);
-  if (line != kHeader) return reports;
+  if (line != kHeader && line != std::string(kHeader) + kVertexColumns) return reports;
+  const std::size_t columns = line == kHeader ? kColumns : kAllColumns;
   while (std::getline(file, line)) {
     std::vector<double> values;
     std::istringstream row(line);
     for (std::string cell; std::getline(row, cell, ',');) values.push_back(std::strtod(cell.c_str(), nullptr));
     // A row that was being written when the process was killed comes again.
-    if (values.size() != kColumns || values[0] > last_epoch) continue;
+    if (values.size() != columns || values[0] > last_epoch) continue;
     EpochReport r;
     r.epoch = static_cast<int>(values[0]), r.steps = static_cast<std::int64_t>(values[1]), r.minutes = values[2];
     r.learning_rate = values[3], r.total = values[4], r.displacement = values[5], r.normal = values[6];
     r.velocity = values[7], r.kinematic = values[8], r.psnr_db = values[9], r.psnr_normal_db = values[10];
     r.psnr_velocity_db = values[11], r.vmse_m2 = values[12], r.best = values[14] != 0;
     r.validated = r.psnr_db != 0;
+    if (columns == kAllColumns) r.vertices = values[15], r.vertex_normals = values[16], r.edges = values[17];
     reports.push_back(r);
   }
   return reports;
@@ -180,7 +191,7 @@ std::vector<EpochReport> read_log(const std::string& path, int last_epoch) {
 
 void write_log(const std::string& path, const std::vector<EpochReport>& reports) {
   std::ofstream file(path, std::ios::trunc);
-  file << kHeader << "\n";
+  file << kHeader << kVertexColumns << "\n";
   for (const EpochReport& report : reports) file << csv_row(report) << "\n";
   if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, path + ": can't write");
 }
@@ -218,6 +229,13 @@ std::string curves_page(const std::string& name, const std::vector<EpochReport>&
   if (baseline.barycentric_vmse_m2 > 0) {
     charts[1].lines.push_back({"displacement, upsampled mesh", "#999999", plain});
     charts[2].lines.push_back({"upsampled mesh", "#999999", plain_rmse});
+  }
+  for (const auto& [label, color, member] : {std::tuple{"vertices", "#e69f00", &EpochReport::vertices},
+                                             std::tuple{"vertex normals", "#56b4e9", &EpochReport::vertex_normals},
+                                             std::tuple{"edges", "#b8a800", &EpochReport::edges}}) {
+    const std::vector<double> line = values(member, false);
+    if (std::any_of(line.begin(), line.end(), [](double v) { return v > 0; }))
+      charts[0].lines.push_back({label, color, line});
   }
   std::ostringstream out;
   out << "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Training of " << escaped(name)

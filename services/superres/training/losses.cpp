@@ -5,9 +5,18 @@ namespace {
 
 using torch::indexing::Slice;
 
+constexpr double kEdgeUnit = 0.01;  ///< strain that counts 1
+
 /// (B, F, 3, H, W) rotated by the inverse of (B, F, 3, 3).
 torch::Tensor rotate_back(const torch::Tensor& vectors, const torch::Tensor& rotations) {
   return torch::einsum("bfji,bfjhw->bfihw", {rotations, vectors});
+}
+
+/// Mean extent of three channels, in physical units; what interpolation lacks of it with scaling "deviation".
+torch::Tensor mean_range(int first, const LossConstants& constants, const LossConfig& config) {
+  const auto channels = Slice(first, first + 3);
+  const auto range = constants.range.index({channels});
+  return config.scaling == "deviation" ? (range * constants.deviation.index({channels})).mean() : range.mean();
 }
 
 torch::Tensor kinematic_loss(const torch::Tensor& synthesized, const Batch& batch, const LossConstants& constants,
@@ -37,13 +46,74 @@ torch::Tensor kinematic_loss(const torch::Tensor& synthesized, const Batch& batc
       batch.mask.view({windows, frames, 1, synthesized.size(2), synthesized.size(3)}).index({Slice(), Slice(0, 1)});
   const auto steps = torch::cumsum(v.index({Slice(), Slice(1)}), 1) * constants.frame_time_s;
   const auto residual = target.index({Slice(), Slice(1)}) - (d.index({Slice(), Slice(0, 1)}) + steps);
-  auto lengths = constants.range.index({Slice(0, 3)});
-  if (config.scaling == "deviation") lengths = lengths * constants.deviation.index({Slice(0, 3)});
   // Eq. 5 sums over k.
-  return (residual / lengths.mean()).square().mul(mask).sum() / (mask.sum() * 3);
+  return (residual / mean_range(0, constants, config)).square().mul(mask).sum() / (mask.sum() * 3);
+}
+
+/// Channels of one feature (N, 3, H, W) at the vertices, (N, 3, V).
+torch::Tensor read_vertices(const torch::Tensor& values, const Batch& batch, const LossConstants& constants) {
+  const std::int64_t images = values.size(0), reads = constants.vertex_weights.size(0);
+  const auto places = batch.vertex_texels.unsqueeze(1).expand({images, 3, -1});
+  return (values.flatten(2).gather(2, places).view({images, 3, reads, -1}) * constants.vertex_weights).sum(2);
+}
+
+/// Values (N, 3, V) at vertex `row` of each face or edge, (N, 3, F).
+torch::Tensor at_corner(const torch::Tensor& values, const torch::Tensor& rows, std::int64_t row) {
+  return values.gather(2, rows[row].expand({values.size(0), 3, -1}));
+}
+
+torch::Tensor length(const torch::Tensor& vectors) { return vectors.norm(2, {1}, true); }
+
+/// Area-weighted unit normals (N, 3, V) of positions (N, 3, V); zero for a vertex without area.
+torch::Tensor mesh_normals(const torch::Tensor& positions, const torch::Tensor& faces) {
+  const auto a = at_corner(positions, faces, 0);
+  const auto areas = torch::cross(at_corner(positions, faces, 1) - a, at_corner(positions, faces, 2) - a, 1);
+  const auto places = faces.flatten().expand({positions.size(0), 3, -1});
+  const auto sums = torch::zeros_like(positions).scatter_add(2, places, areas.repeat({1, 1, 3}));
+  return sums / length(sums).clamp_min(1e-20);
+}
+
+torch::Tensor edge_lengths(const torch::Tensor& positions, const torch::Tensor& edges) {
+  return length(at_corner(positions, edges, 1) - at_corner(positions, edges, 0));
+}
+
+void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const Batch& batch,
+                       const LossConstants& constants, const LossConfig& config) {
+  const auto channels = Slice(0, 3);
+  const auto range = constants.range.index({channels}).view({1, 3, 1, 1});
+  const auto minimum = constants.minimum.index({channels}).view({1, 3, 1, 1});
+  const auto images = [&](const torch::Tensor& t) { return t.index({Slice(), channels}); };
+  // The error is read alone: it is small beside the displacements, which float32 would round.
+  const auto error = read_vertices((images(synthesized) - images(batch.fine)) * range, batch, constants);
+  if (config.vertices > 0) {
+    losses.vertices = (error / mean_range(0, constants, config)).square().mean();
+    losses.total = losses.total + config.vertices * losses.vertices;
+  }
+  if (config.vertex_normals <= 0 && config.edges <= 0) return;
+  const auto truth = batch.vertex_rest + read_vertices(images(batch.fine) * range + minimum, batch, constants);
+  const auto answer = truth + error;
+  if (config.vertex_normals > 0) {
+    const auto difference = mesh_normals(answer, constants.faces) - mesh_normals(truth, constants.faces);
+    losses.vertex_normals = (difference / mean_range(3, constants, config)).square().mean();
+    losses.total = losses.total + config.vertex_normals * losses.vertex_normals;
+  }
+  if (config.edges > 0) {
+    const auto difference = edge_lengths(answer, constants.edges) - edge_lengths(truth, constants.edges);
+    losses.edges = (difference / (kEdgeUnit * constants.edge_lengths)).square().mean();
+    losses.total = losses.total + config.edges * losses.edges;
+  }
 }
 
 }  // namespace
+
+void LossConstants::set_vertices(const VertexRead& read, const torch::Device& device) {
+  const std::int64_t vertices = read.vertex_count();
+  vertex_weights = torch::tensor(read.weights).view({-1, vertices}).to(device);
+  faces = torch::tensor(read.faces, torch::kInt64).view({3, -1}).to(device);
+  edges = torch::tensor(read.edges, torch::kInt64).view({2, -1}).to(device);
+  const auto rest = torch::tensor(read.rest).view({1, 3, vertices}).to(device);
+  edge_lengths = pleat::superres::edge_lengths(rest, edges).flatten();
+}
 
 Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, const LossConstants& constants,
                       const LossConfig& config) {
@@ -64,6 +134,8 @@ Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, cons
   } else {
     losses.kinematic = torch::zeros_like(losses.total);
   }
+  losses.vertices = losses.vertex_normals = losses.edges = torch::zeros_like(losses.total);
+  if (config.needs_vertices()) add_vertex_losses(losses, synthesized, batch, constants, config);
   return losses;
 }
 

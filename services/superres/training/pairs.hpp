@@ -51,6 +51,17 @@ class ImageStore {
   std::shared_ptr<const char> mapped_;
 };
 
+/// The fine mesh as a function of the fine image: what the conversion reads to make a mesh of it.
+struct VertexRead {
+  std::vector<std::int64_t> texels;  ///< (K x V): row-major places in the image; weight 0 where a vertex has fewer
+  std::vector<float> weights;        ///< (K x V): the vertex's displacement is the weighted sum of those texels
+  std::vector<float> rest;           ///< (3 x V): rest positions, metres
+  std::vector<std::int64_t> faces;   ///< (3 x F)
+  std::vector<std::int64_t> edges;   ///< (2 x E): those with a length in the rest mesh
+
+  std::int64_t vertex_count() const { return static_cast<std::int64_t>(rest.size() / 3); }
+};
+
 /// One sequence of consecutive frames.
 struct PairSequence {
   std::string name;
@@ -69,6 +80,7 @@ struct PairData {
   std::string image_spec = "{}";
   std::string description = "{}";  ///< JSON about the data set, for the bundle
   MeshBase mesh_base;              ///< for networks that need the mesh, else empty
+  VertexRead vertex_read;          ///< for losses on vertices, else empty
   /// Directions of u and v in the rest mesh if that is flat, else empty. Needed for mirrored copies.
   std::vector<std::array<float, 3>> sheet_axes;
 

@@ -73,6 +73,14 @@ Mirror make_mirror(std::uint64_t bits, const std::vector<std::array<float, 3>>& 
   return mirror;
 }
 
+torch::Tensor to_tensor(const Matrix& m) {
+  const auto result = torch::empty({3, 3});
+  for (std::int64_t i = 0; i < 9; ++i) {
+    result[i / 3][i % 3] = m[static_cast<std::size_t>(i / 3)][static_cast<std::size_t>(i % 3)];
+  }
+  return result;
+}
+
 torch::Tensor mirror_image(const torch::Tensor& image, const Mirror& mirror, const Normalization& normalization) {
   torch::Tensor result = image;
   if (mirror.reverse_u) result = result.flip({2});
@@ -126,6 +134,20 @@ Sampler::Sampler(const TrainConfig& config, const PairData& data) : config_(conf
     // As a fine image, whose parts and mirror images are easy to take.
     structure_ = torch::pixel_shuffle(
         torch::tensor(data.mesh_base.structure).view({1, kStructureChannels, height, width}), kScale);
+  }
+  if (config.losses.needs_vertices()) {
+    const VertexRead& read = data.vertex_read;
+    if (read.rest.empty()) throw_invalid_argument("data set: no vertex reads, which losses on vertices need");
+    vertex_rest_ = torch::tensor(read.rest).view({3, -1});
+    for (int bits = 0; bits < 4; ++bits) {
+      std::vector<std::int64_t> texels = read.texels;
+      const std::int64_t w = kScale * width, h = kScale * height;
+      for (std::int64_t& t : texels) {
+        const std::int64_t row = t / w, column = t % w;
+        t = ((bits & 2) != 0 ? h - 1 - row : row) * w + ((bits & 1) != 0 ? w - 1 - column : column);
+      }
+      vertex_texels_.push_back(torch::tensor(texels, torch::kInt64));
+    }
   }
   const double texels = static_cast<double>(data.training_frames()) * height * width;
   const double step_texels = static_cast<double>(config.batch) * frames_ * patch_height_ * patch_width_;
@@ -198,6 +220,11 @@ Batch Sampler::batch(int epoch, int step, int first_window, int last_window) con
     batch.base = torch::empty_like(batch.fine);
     batch.structure = torch::empty({images, kStructureChannels, h, w});
   }
+  const bool vertices = vertex_rest_.defined();
+  if (vertices) {
+    batch.vertex_texels = torch::empty({images, vertex_texels_[0].size(0)}, torch::kInt64);
+    batch.vertex_rest = torch::empty({images, 3, vertex_rest_.size(1)});
+  }
   std::int64_t n = 0;
   for (int index = first_window; index < last_window; ++index) {
     const Window& window = windows[static_cast<std::size_t>(index)];
@@ -223,6 +250,11 @@ Batch Sampler::batch(int epoch, int step, int first_window, int last_window) con
           for (std::size_t k = 0; k < 3; ++k) sum += mirror.matrix[i][k] * own[3 * k + j];
           rotation[3 * i + j] = static_cast<float>(sum);
         }
+      }
+      if (vertices) {
+        const auto place = static_cast<std::size_t>((mirror.reverse_u ? 1 : 0) + (mirror.reverse_v ? 2 : 0));
+        batch.vertex_texels[n].copy_(vertex_texels_[place]);
+        batch.vertex_rest[n].copy_(torch::matmul(to_tensor(mirror.matrix), vertex_rest_));
       }
       if (mesh) {
         const int height = data_.coarse_height(), width = data_.coarse_width();

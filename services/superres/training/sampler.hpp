@@ -50,6 +50,10 @@ class Sampler {
   int frames_, patch_height_, patch_width_, steps_;
   std::vector<Window> windows_;
   torch::Tensor structure_;  ///< (1, 2, H, W)
+  /// For losses on vertices: what they read in an image reversed along u (bit 0) and v (bit 1), each (K V) int64, and
+  /// the rest positions (3, V).
+  std::vector<torch::Tensor> vertex_texels_;
+  torch::Tensor vertex_rest_;
   std::shared_ptr<const cpu::UpsampledMesh> mesh_;
 };
 

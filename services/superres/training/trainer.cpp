@@ -28,8 +28,8 @@ namespace {
 using nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
-/// Values that the processes share after each step: five losses, the first one's wish to stop, and its clock.
-constexpr std::int64_t kShared = 7, kStop = 5, kMinutes = 6;
+/// Values that the processes share after each step: the losses, the first one's wish to stop, and its clock.
+constexpr std::int64_t kStop = kLossParts, kMinutes = kStop + 1, kShared = kMinutes + 1;
 
 bool out_of_memory(const std::exception& error) {
   if (dynamic_cast<const std::bad_alloc*>(&error) != nullptr) return true;
@@ -159,6 +159,7 @@ class Trainer {
     constants_.range = torch::tensor(range).to(device_);
     constants_.deviation = torch::tensor(conditioning.output_deviation).to(device_);
     constants_.frame_time_s = data_.frame_time_s;
+    if (config_.losses.needs_vertices()) constants_.set_vertices(data_.vertex_read, device_);
   }
 
   double learning_rate(std::int64_t step) const {
@@ -186,15 +187,18 @@ class Trainer {
     Batch batch = sampler_.batch(state_.epoch, state_.step, begin, end);
     const double share = batch.mask.sum().item<double>() / texels;
     for (auto* t : {&batch.coarse, &batch.fine, &batch.mask, &batch.rotations}) *t = t->to(device_);
+    if (batch.vertex_rest.defined()) {
+      batch.vertex_texels = batch.vertex_texels.to(device_), batch.vertex_rest = batch.vertex_rest.to(device_);
+    }
     if (batch.base.defined()) batch.base = batch.base.to(device_), batch.structure = batch.structure.to(device_);
     const auto synthesized = batch.base.defined() ? network_.forward(batch.coarse, batch.base, batch.structure, type_)
                                                   : network_.forward(batch.coarse, type_);
     const Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
-    const auto parts =
-        torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity, losses.kinematic})
-            .detach()
-            .to(torch::kCPU, torch::kFloat64);
-    values.slice(0, 0, 5) += share * parts;
+    const auto parts = torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity,
+                                     losses.kinematic, losses.vertices, losses.vertex_normals, losses.edges})
+                           .detach()
+                           .to(torch::kCPU, torch::kFloat64);
+    values.slice(0, 0, kLossParts) += share * parts;
     (losses.total * share).backward();
   }
 
@@ -269,7 +273,7 @@ class Trainer {
       sum_gradients(adam);
       rate_ = learning_rate(adam.steps);
       adam.step(rate_);
-      for (int i = 0; i < 5; ++i) state_.sums[i] += v[i];
+      for (int i = 0; i < kLossParts; ++i) state_.sums[i] += v[i];
       ++state_.step;
       if (hooks_.progress && first()) hooks_.progress(state_.epoch + 1, static_cast<double>(state_.step) / steps, v[0]);
       if (config_.checkpoint_minutes > 0 && state_.step < steps &&
@@ -297,6 +301,7 @@ class Trainer {
     const double n = std::max(1, steps);
     report.total = state_.sums[0] / n, report.displacement = state_.sums[1] / n, report.normal = state_.sums[2] / n;
     report.velocity = state_.sums[3] / n, report.kinematic = state_.sums[4] / n;
+    report.vertices = state_.sums[5] / n, report.vertex_normals = state_.sums[6] / n, report.edges = state_.sums[7] / n;
     const bool last = report.epoch == config_.epochs || steps < sampler_.steps_per_epoch();
     if (last || report.epoch % config_.validation.every_epochs == 0) validate(adam, report);
     report.minutes = minutes();

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 
 #include "common/base/error.hpp"
@@ -68,6 +69,27 @@ TEST_P(Garments, SampledTexelsAreBarycentricValuesAtTheirCentres) {
     }
   }
   EXPECT_GT(checked, 20);
+}
+
+TEST_P(Garments, VertexReadsAreWhatToMeshReads) {
+  const Garment garment = load_garment(GetParam());
+  const ImageMap map(garment.coarse, garment.fine());
+  Tensor image{{3, map.fine_height(), map.fine_width()}, {}, {}};
+  const std::size_t plane = map.fine_mask().size();
+  for (std::size_t i = 0; i < 3 * plane; ++i) image.values.push_back(std::sin(0.37F * static_cast<float>(i)));
+  const VertexReads& reads = map.vertex_reads();
+  ASSERT_EQ(reads.offsets.size(), static_cast<std::size_t>(garment.fine().vertex_count()) + 1);
+  const Positions expected = map.to_mesh(image, {});
+  for (Eigen::Index v = 0; v < expected.rows(); ++v) {
+    Eigen::Vector3f position = garment.fine().rest_positions.row(v);
+    for (auto i = reads.offsets[static_cast<std::size_t>(v)]; i < reads.offsets[static_cast<std::size_t>(v) + 1]; ++i) {
+      const std::size_t texel = reads.texels[i];
+      ASSERT_EQ(map.fine_mask()[texel], 1);
+      const Eigen::Vector3f value(image.values[texel], image.values[plane + texel], image.values[2 * plane + texel]);
+      position += reads.weights[i] * value;
+    }
+    ASSERT_LT((position.transpose() - expected.row(v)).norm(), 1e-5F) << v;
+  }
 }
 
 TEST(ImageMap, ACoarseTexelIsTheCentreOfItsBlock) {

@@ -65,6 +65,50 @@ TEST_F(LoadPairs, ImagesBelongToTheFrames) {
   EXPECT_THROW(loaded.judge->squared_error(1, 1, fine), Error);
 }
 
+TEST_F(LoadPairs, VertexReadMakesTheMeshThatTheJudgeMakes) {
+  write(true);
+  EXPECT_TRUE(load_pairs(config(), quiet).data.vertex_read.rest.empty());
+  TrainConfig c = config();
+  c.patch = 0, c.losses.edges = 0.1;
+  const LoadedPairs loaded = load_pairs(c, quiet);
+  const VertexRead& read = loaded.data.vertex_read;
+  const Topology& mesh = master_.topology.fine;
+  const auto vertices = static_cast<std::size_t>(mesh.vertex_count()),
+             faces = static_cast<std::size_t>(mesh.face_count());
+  ASSERT_EQ(read.vertex_count(), mesh.vertex_count());
+
+  const std::size_t plane = 36 * 48;
+  std::vector<float> image(9 * plane), other(9 * plane);
+  loaded.data.sequences[1].fine.read(2, 0, 0, 36, 48, image.data());
+  for (std::size_t i = 0; i < 3 * plane; ++i) other[i] = image[i] + 0.01F * std::sin(static_cast<float>(i));
+  double sum = 0;
+  for (std::size_t v = 0; v < vertices; ++v) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      double error = 0;
+      for (std::size_t i = v; i < read.texels.size(); i += vertices) {
+        const std::size_t texel = axis * plane + static_cast<std::size_t>(read.texels[i]);
+        error += read.weights[i] * (other[texel] - image[texel]);  // the displacements' range is 1 m
+      }
+      sum += error * error;
+      EXPECT_EQ(read.rest[axis * vertices + v],
+                mesh.rest_positions(static_cast<Eigen::Index>(v), static_cast<Eigen::Index>(axis)));
+    }
+  }
+  const double expected = loaded.judge->squared_error(1, 2, other);
+  EXPECT_NEAR(sum / static_cast<double>(vertices), expected, 1e-3 * expected);
+
+  ASSERT_EQ(read.faces.size(), 3 * faces);
+  for (std::size_t f = 0; f < faces; ++f) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      EXPECT_EQ(read.faces[k * faces + f], mesh.faces(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(k)));
+    }
+  }
+  // Euler: V - E + F = 1 of a sheet without holes.
+  const std::size_t edges = vertices + faces - 1;
+  ASSERT_EQ(read.edges.size(), 2 * edges);
+  for (std::size_t e = 0; e < edges; ++e) EXPECT_NE(read.edges[e], read.edges[edges + e]);
+}
+
 TEST_F(LoadPairs, EverySomaniethFrameOfTheTrainingSequences) {
   write(true);
   const LoadedPairs all = load_pairs(config(), quiet);

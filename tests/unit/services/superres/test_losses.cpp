@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 #include <torch/torch.h>
 
+#include <Eigen/Geometry>
 #include <cmath>
 
 #include "services/superres/training/losses.hpp"
@@ -157,6 +158,171 @@ TEST(Losses, TrueMotionHasNoKinematicLoss) {
   // One frame that jumps does not.
   shifted[1].slice(0, 0, 3) += 0.1;
   EXPECT_GT(compute_losses(shifted, batch, constants, config).kinematic.item<double>(), 1e-4);
+}
+
+constexpr int kVertices = 5, kReads = 2;
+
+/// Five vertices, four faces around the first one, each vertex the mean of two texels, off centre.
+VertexRead example_read() {
+  VertexRead read;
+  for (int i = 0; i < kReads * kVertices; ++i) {
+    read.texels.push_back((7 * i + 4) % (kHeight * kWidth));
+    read.weights.push_back(i < kVertices ? 0.25F : 0.75F);
+  }
+  read.rest = {0, 1, 0, -1, 0, 0.1F, 0, 0.2F, 0, 0, 0, 0, -1, 0, 1};
+  read.faces = {0, 0, 0, 0, 1, 2, 3, 4, 2, 3, 4, 1};
+  read.edges = {0, 0, 0, 0, 1, 2, 3, 4, 1, 2, 3, 4, 2, 3, 4, 1};
+  return read;
+}
+
+/// Turns an example into one with vertices, everything in double.
+void add_vertices(const VertexRead& read, Batch& batch, LossConstants& constants) {
+  constants.set_vertices(read, torch::kCPU);
+  constants.vertex_weights = constants.vertex_weights.to(torch::kFloat64);
+  constants.edge_lengths = constants.edge_lengths.to(torch::kFloat64);
+  const std::int64_t images = batch.fine.size(0);
+  batch.vertex_texels = torch::tensor(read.texels, torch::kInt64).expand({images, -1});
+  batch.vertex_rest =
+      torch::tensor(read.rest).to(torch::kFloat64).view({1, 3, read.vertex_count()}).expand({images, -1, -1});
+}
+
+using Points = Eigen::Matrix<double, Eigen::Dynamic, 3>;
+
+/// The mesh of one image, read vertex by vertex.
+Points plain_mesh(const torch::Tensor& images, int n, const VertexRead& read, const LossConstants& constants) {
+  const auto image = images.accessor<double, 4>()[n];
+  const auto minimum = constants.minimum.accessor<double, 1>(), range = constants.range.accessor<double, 1>();
+  Points points(kVertices, 3);
+  for (int v = 0; v < kVertices; ++v) {
+    for (int c = 0; c < 3; ++c) {
+      points(v, c) = read.rest[static_cast<std::size_t>(c * kVertices + v)];
+      for (int k = 0; k < kReads; ++k) {
+        const auto i = static_cast<std::size_t>(k * kVertices + v);
+        const auto texel = read.texels[i];
+        points(v, c) += read.weights[i] * (image[c][texel / kWidth][texel % kWidth] * range[c] + minimum[c]);
+      }
+    }
+  }
+  return points;
+}
+
+Points plain_normals(const Points& points, const VertexRead& read) {
+  Points normals = Points::Zero(kVertices, 3);
+  const std::size_t faces = read.faces.size() / 3;
+  for (std::size_t f = 0; f < faces; ++f) {
+    const auto a = read.faces[f], b = read.faces[faces + f], c = read.faces[2 * faces + f];
+    const Eigen::Vector3d u = points.row(b) - points.row(a), v = points.row(c) - points.row(a);
+    for (const auto corner : {a, b, c}) normals.row(corner) += u.cross(v).transpose();
+  }
+  return normals.rowwise().normalized();
+}
+
+/// The three losses on vertices, weighted, mesh by mesh.
+double plain_vertex_losses(const torch::Tensor& synthesized, const Batch& batch, const VertexRead& read,
+                           const LossConstants& constants, const LossConfig& config) {
+  const auto range = constants.range.accessor<double, 1>(), deviation = constants.deviation.accessor<double, 1>();
+  double length = 0, normal_length = 0, sum = 0;
+  for (int c = 0; c < 3; ++c) {
+    const bool scaled = config.scaling == "deviation";
+    length += range[c] * (scaled ? deviation[c] : 1) / 3;
+    normal_length += range[3 + c] * (scaled ? deviation[3 + c] : 1) / 3;
+  }
+  const int images = static_cast<int>(synthesized.size(0));
+  const std::size_t edges = read.edges.size() / 2;
+  const Eigen::Map<const Eigen::Matrix<float, kVertices, 3>> rest(read.rest.data());
+  for (int n = 0; n < images; ++n) {
+    const Points s = plain_mesh(synthesized, n, read, constants), h = plain_mesh(batch.fine, n, read, constants);
+    sum += config.vertices * (s - h).squaredNorm() / (length * length * 3 * kVertices);
+    const double turned = (plain_normals(s, read) - plain_normals(h, read)).squaredNorm();
+    sum += config.vertex_normals * turned / (normal_length * normal_length * 3 * kVertices);
+    for (std::size_t e = 0; e < edges; ++e) {
+      const auto a = read.edges[e], b = read.edges[edges + e];
+      const double strain = ((s.row(a) - s.row(b)).norm() - (h.row(a) - h.row(b)).norm()) /
+                            (rest.row(a) - rest.row(b)).cast<double>().norm();
+      sum += config.edges * std::pow(100 * strain, 2) / static_cast<double>(edges);
+    }
+  }
+  return sum / images;
+}
+
+TEST(VertexLosses, AgreeWithPlainLoopsAndFiniteDifferences) {
+  Batch batch = example_batch();
+  LossConstants constants = example_constants();
+  const VertexRead read = example_read();
+  add_vertices(read, batch, constants);
+  for (const char* scaling : {"none", "deviation"}) {
+    for (int term = 0; term < 3; ++term) {
+      SCOPED_TRACE(std::string(scaling) + ", term " + std::to_string(term));
+      LossConfig config;
+      config.displacement = config.normal = config.velocity = config.kinematic = 0;
+      config.scaling = scaling;
+      (term == 0 ? config.vertices : term == 1 ? config.vertex_normals : config.edges) = 0.7;
+      auto synthesized = torch::rand_like(batch.fine);
+      const double expected = plain_vertex_losses(synthesized, batch, read, constants, config);
+      synthesized.set_requires_grad(true);
+      const Losses losses = compute_losses(synthesized, batch, constants, config);
+      EXPECT_NEAR(losses.total.item<double>(), expected, 1e-6 * expected);
+      const auto& part = term == 0 ? losses.vertices : term == 1 ? losses.vertex_normals : losses.edges;
+      EXPECT_NEAR(0.7 * part.item<double>(), expected, 1e-6 * expected);
+
+      losses.total.backward();
+      const auto gradient = synthesized.grad().clone();
+      synthesized.set_requires_grad(false);
+      const double step = 1e-6, sharpness = gradient.abs().max().item<double>();
+      ASSERT_GT(sharpness, 0);
+      for (std::int64_t i = 0; i < synthesized.numel(); ++i) {
+        const double analytic = gradient.view({-1})[i].item<double>();
+        if (analytic == 0 && i % 11 != 0) continue;  // most texels are read by no vertex
+        auto moved = synthesized.clone();
+        moved.view({-1})[i] += step;
+        const double up = plain_vertex_losses(moved, batch, read, constants, config);
+        moved.view({-1})[i] -= 2 * step;
+        const double down = plain_vertex_losses(moved, batch, read, constants, config);
+        ASSERT_NEAR((up - down) / (2 * step), analytic, 2e-5 * sharpness) << i;
+      }
+    }
+  }
+}
+
+/// A right triangle with a vertex that is 1 cm or 1 m off.
+TEST(VertexLosses, OneTriangleByHand) {
+  VertexRead read;
+  read.texels = {0, 1, 2};
+  read.weights = {1, 1, 1};
+  read.rest = {0, 1, 0, 0, 0, 0, 0, 0, 1};  // (0,0,0), (1,0,0), (0,0,1)
+  read.faces = {0, 1, 2};
+  read.edges = {0, 1, 2, 1, 2, 0};
+  Batch batch;
+  batch.fine = torch::full({1, 9, 1, 3}, 0.5, torch::kFloat64);
+  batch.mask = torch::ones({1, 1, 1, 3}, torch::kFloat64);
+  LossConstants constants;
+  constants.minimum = torch::full({9}, -0.5, torch::kFloat64);
+  constants.range = torch::ones({9}, torch::kFloat64);
+  constants.deviation = torch::ones({9}, torch::kFloat64);
+  add_vertices(read, batch, constants);
+  LossConfig config;
+  config.vertices = config.vertex_normals = config.edges = 1;
+
+  auto along = batch.fine.clone();
+  along[0][0][0][1] += 0.01;
+  Losses losses = compute_losses(along, batch, constants, config);
+  EXPECT_NEAR(losses.vertices.item<double>(), 1e-4 / 9, 1e-12);
+  EXPECT_NEAR(losses.vertex_normals.item<double>(), 0, 1e-12);
+  const double diagonal = (std::sqrt(1.01 * 1.01 + 1) / std::sqrt(2.0) - 1) / 0.01;
+  EXPECT_NEAR(losses.edges.item<double>(), (1 + diagonal * diagonal) / 3, 1e-6);
+
+  auto up = batch.fine.clone();
+  up[0][1][0][1] += 1;  // the triangle turns by 45 degrees: |n - n'|^2 = 2 - 2 cos
+  losses = compute_losses(up, batch, constants, config);
+  EXPECT_NEAR(losses.vertices.item<double>(), 1.0 / 9, 1e-12);
+  EXPECT_NEAR(losses.vertex_normals.item<double>(), (2 - std::sqrt(2.0)) / 3, 1e-12);
+}
+
+TEST(VertexLosses, WeightZeroComputesNothing) {
+  const Batch batch = example_batch();  // without vertices
+  const LossConfig config = config_of("synthesized", "exact", "none");
+  const Losses losses = compute_losses(torch::rand_like(batch.fine), batch, example_constants(), config);
+  for (const auto& part : {losses.vertices, losses.vertex_normals, losses.edges}) EXPECT_EQ(part.item<double>(), 0);
 }
 
 TEST(Losses, TexelsOutsideTheMaskDoNotCount) {

@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
 #include "services/superres/training/config.hpp"
@@ -68,6 +69,11 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("patch": 0, "architecture": {"axes": "local"})")), HasSubstr("residual"));
   EXPECT_THAT(error_of(with(R"("images": {"coarse_width": 60})")), HasSubstr("coarse_height"));
   EXPECT_THAT(error_of(with(R"("every_frames": 2)")), HasSubstr("losses.kinematic"));
+  EXPECT_THAT(error_of(with(R"("losses": {"vertices": 0.1})")), HasSubstr("'patch' = 0"));
+  EXPECT_THAT(error_of(with(R"("losses": {"vertex_normals": 0.1})")), HasSubstr("'patch' = 0"));
+  EXPECT_THAT(error_of(with(R"("losses": {"edges": 0.1})")), HasSubstr("'patch' = 0"));
+  EXPECT_THAT(error_of(with(R"("patch": 0, "losses": {"edges": -0.1})")), HasSubstr("'losses.edges' = -0.1"));
+  EXPECT_EQ(error_of(with(R"("patch": 0, "losses": {"edges": 0.1})")), "no error");
   EXPECT_THAT(error_of(with(R"("schedule": {"kind": "cosine", "progress": "minutes"})")), HasSubstr("max_minutes"));
   EXPECT_THAT(error_of(R"({"name": "a", "dataset": "d"})"), HasSubstr("'output' is missing"));
   EXPECT_THAT(error_of(R"({"name": "../a", "dataset": "d", "output": "o"})"), HasSubstr("'name'"));
@@ -81,6 +87,16 @@ TEST(TrainConfig, ResumptionMayChangeLimitsOnly) {
   EXPECT_EQ(first_difference(json(""), json(R"("epochs": 7, "max_minutes": 1, "threads": 2)")), "");
   EXPECT_EQ(first_difference(json(""), json(R"("batch": 3)")), "batch");
   EXPECT_EQ(first_difference(json(""), json(R"("optimizer": {"beta1": 0.5})")), "optimizer/beta1");
+}
+
+TEST(TrainConfig, KeysThatAnOlderCheckpointLacksHaveTheirDefaults) {
+  const std::string now = to_json(train_config_from_json(with(""), "x"));
+  nlohmann::json older = nlohmann::json::parse(now);
+  for (const char* key : {"vertices", "vertex_normals", "edges"}) ASSERT_EQ(older["losses"].erase(key), 1U) << key;
+  const std::string old = older.dump();
+  EXPECT_EQ(first_difference(now, old), "");
+  const std::string other = to_json(train_config_from_json(with(R"("patch": 0, "losses": {"vertices": 1})"), "x"));
+  EXPECT_EQ(first_difference(other, old), "losses/vertices");
 }
 
 TEST(TrainConfig, ShippedConfigurationsAreValid) {

@@ -11,6 +11,7 @@
 #include "common/base/error.hpp"
 #include "services/superres/engine.hpp"
 #include "services/superres/training/checkpoint.hpp"
+#include "services/superres/training/log.hpp"
 #include "services/superres/training/sampler.hpp"
 #include "services/superres/training/trainer.hpp"
 #include "tests/support/temporary_folder.hpp"
@@ -62,6 +63,24 @@ PairData waves(int sequences, int frames, bool fixed_point = false) {
     data.sequences.push_back(std::move(sequence));
   }
   return data;
+}
+
+/// A strip of triangles across the image that no reflection maps to itself; vertices read two texels each.
+VertexRead strip() {
+  VertexRead read;
+  const std::vector<std::array<int, 2>> places{{2, 3}, {20, 4}, {9, 13}, {33, 15}, {5, 26}, {41, 22}};  // column, row
+  for (int k = 0; k < 2; ++k) {
+    for (const auto& [column, row] : places) {
+      read.texels.push_back((row + k) * 4 * kWidth + column);
+      read.weights.push_back(k == 0 ? 0.4F : 0.6F);
+    }
+  }
+  for (const auto& [column, row] : places) read.rest.push_back(0.05F * static_cast<float>(column));
+  read.rest.resize(2 * places.size(), 0.0F);
+  for (const auto& [column, row] : places) read.rest.push_back(0.05F * static_cast<float>(row));
+  read.faces = {0, 1, 2, 3, 1, 3, 3, 5, 2, 2, 4, 4};
+  read.edges = {0, 1, 0, 1, 2, 2, 3, 3, 4, 1, 2, 2, 3, 3, 4, 4, 5, 5};
+  return read;
 }
 
 class TrainerTest : public testing::Test {
@@ -240,6 +259,42 @@ TEST_F(TrainerTest, PassesOfFewerWindowsAddUpToTheSameStep) {
   EXPECT_NEAR(b.last.psnr_db, a.last.psnr_db, 0.01);
 }
 
+TEST_F(TrainerTest, PassesAddUpWithLossesOnVertices) {
+  PairData data = waves(2, 8);
+  data.vertex_read = strip();
+  const auto run = [&](const std::string& output, int micro_batch) {
+    TrainConfig c = config(output);
+    c.batch = 5, c.micro_batch = micro_batch, c.patch = 0, c.mirror = true;
+    c.losses.vertices = 0.5, c.losses.vertex_normals = 0.2, c.losses.edges = 0.01;
+    return train(c, data, nullptr, {});
+  };
+  const TrainResult a = run("whole", 0), b = run("parts", 2);
+  EXPECT_GT(a.last.vertices, 0);
+  EXPECT_NEAR(b.last.total, a.last.total, 1e-4 * a.last.total);
+  EXPECT_NEAR(b.last.vertices, a.last.vertices, 1e-3 * a.last.vertices);
+  EXPECT_NEAR(b.last.vertex_normals, a.last.vertex_normals, 1e-3 * a.last.vertex_normals);
+  EXPECT_NEAR(b.last.edges, a.last.edges, 1e-3 * a.last.edges);
+  EXPECT_NEAR(b.last.psnr_db, a.last.psnr_db, 0.01);
+  const auto logged = read_log(config("whole").output + "/log.csv", 100);
+  ASSERT_EQ(logged.size(), 4U);
+  EXPECT_NEAR(logged.back().vertices, a.last.vertices, 1e-6 * a.last.vertices);
+  EXPECT_NEAR(logged.back().edges, a.last.edges, 1e-6 * a.last.edges);
+
+  data.vertex_read = {};
+  EXPECT_THROW(run("none", 0), Error);
+}
+
+TEST_F(TrainerTest, LogsFromBeforeTheLossesOnVerticesAreRead) {
+  const std::string path = (root_ / "log.csv").string();
+  std::ofstream(path) << "epoch,steps,minutes,learning_rate,total,displacement,normal,velocity,kinematic,psnr_db,"
+                         "psnr_normal_db,psnr_velocity_db,vmse_m2,rmse_m,best\n1,6,0.5,0.1,2,3,4,5,6,30,31,32,9,3,1\n";
+  const auto rows = read_log(path, 9);
+  ASSERT_EQ(rows.size(), 1U);
+  EXPECT_EQ(rows[0].psnr_db, 30);
+  EXPECT_TRUE(rows[0].best);
+  EXPECT_EQ(rows[0].vertices, 0);
+}
+
 TEST_F(TrainerTest, CurvesAreInTheLogThePageAndTheBundle) {
   const PairData data = waves(2, 6);
   TrainConfig c = config();
@@ -375,6 +430,55 @@ TEST_F(TrainerTest, MirroredBatchesKeepTheMotion) {
   // Reflected across the sheet, positions are turned over and the normal with them twice: it stays.
   EXPECT_FALSE(turned);
   EXPECT_TRUE(kept);
+}
+
+TEST_F(TrainerTest, MirroredBatchesHaveTheSameLossesOnVertices) {
+  PairData data = waves(2, 8);
+  data.normalization.minimum = {-1, -0.2F, -2, -1, -1, -1, -30, -20, -10};
+  data.normalization.maximum = {2, 0.3F, 1, 1, 1, 1, 10, 20, 30};
+  data.vertex_read = strip();
+  TrainConfig c = config();
+  c.patch = 0, c.losses.scaling = "none";
+  c.losses.vertices = c.losses.vertex_normals = c.losses.edges = 1;
+  TrainConfig mirrored = c;
+  mirrored.mirror = true;
+  LossConstants constants;
+  constants.minimum =
+      torch::tensor(std::vector<float>(data.normalization.minimum.begin(), data.normalization.minimum.end()));
+  constants.range =
+      torch::tensor(std::vector<float>(data.normalization.maximum.begin(), data.normalization.maximum.end())) -
+      constants.minimum;
+  constants.deviation = torch::ones({9});
+  constants.frame_time_s = kFrameTime;
+  constants.set_vertices(data.vertex_read, torch::kCPU);
+  const Sampler plain(c, data), reflecting(mirrored, data);
+  int moved = 0, reflected = 0;
+  for (int step = 0; step < 12; ++step) {
+    // A bilinear upsampling is the same function in a mirror.
+    const auto losses = [&](const Batch& batch) {
+      return compute_losses(upsample_bilinear(batch.coarse), batch, constants, c.losses);
+    };
+    const Batch a = plain.batch(0, step);
+    Batch b = reflecting.batch(0, step);
+    const Losses expected = losses(a), actual = losses(b);
+    const auto near = [](const torch::Tensor& x, const torch::Tensor& y) {
+      EXPECT_NEAR(x.item<double>(), y.item<double>(), 1e-3 * y.item<double>());
+    };
+    near(actual.vertices, expected.vertices);
+    near(actual.vertex_normals, expected.vertex_normals);
+    near(actual.edges, expected.edges);
+    // Texels, or rest positions, of the other side would be wrong.
+    const auto differ = [](const torch::Tensor& x, const torch::Tensor& y) {
+      return std::abs(x.item<double>() - y.item<double>()) > 0.01 * y.item<double>();
+    };
+    const Batch right = b;
+    b.vertex_texels = a.vertex_texels;
+    if (!torch::equal(right.vertex_texels, a.vertex_texels) && differ(losses(b).vertices, expected.vertices)) ++moved;
+    b = right, b.vertex_rest = a.vertex_rest;
+    if (!torch::equal(right.vertex_rest, a.vertex_rest) && differ(losses(b).edges, expected.edges)) ++reflected;
+  }
+  EXPECT_GT(moved, 6);
+  EXPECT_GT(reflected, 3);
 }
 
 TEST(ImageStore, FixedPointIsFineEnough) {
