@@ -55,10 +55,10 @@ bench: build ## print the benchmark tables; writes out/bench/report.json and lea
 	@$(BUILD)/bin/bench_lean_rival --json $(OUT)/bench/lean-rival.json
 	@echo "bench: $(OUT)/bench/report.json $(OUT)/bench/lean-rival.json"
 
-dataset: build ## generate the DRAPING training data into out/dataset/draping-full
-	@$(BUILD)/bin/pleat dataset generate $(OUT)/dataset/draping-full --set draping --scale full
+dataset: build ## generate the DRAPING training data into out/dataset/draping
+	@$(BUILD)/bin/pleat dataset generate $(OUT)/dataset/draping --set draping --frames 120 --extra 24
 
-model: build ## train the default model from out/dataset/draping-full into out/train/draping
+model: build ## train the default model from out/dataset/draping into out/train/draping
 	@$(BUILD)/bin/pleat-train deploy/models/draping.train.json
 
 lint: setup ## formatting, static checks and the rules of the rooms

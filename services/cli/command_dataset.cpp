@@ -14,7 +14,7 @@ namespace {
 struct GenerateChoice {
   std::string folder, set = "draping", scale = "small", fine = "tracked";
   std::string garment = "deploy/garments/tablecloth.obj", material = "deploy/materials/gray-interlock.json";
-  int frames = 0, train = -1, test = -1, workers = 0;
+  int frames = 0, train = -1, test = -1, extra = 0, workers = 0;
   std::uint64_t seed = 1;
   bool deflate = true;
 };
@@ -28,6 +28,7 @@ int generate(const GenerateChoice& choice) {
   const dataset::SetSize size = dataset::set_size(choice.set, choice.scale == "full");
   options.scenes.train = choice.train >= 0 ? choice.train : size.train;
   options.scenes.test = choice.test >= 0 ? choice.test : size.test;
+  options.scenes.extra = choice.extra;
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
   options.scenes.seed = choice.seed;
   options.scenes.tracked = choice.fine == "tracked";
@@ -88,6 +89,9 @@ std::vector<Command> add_dataset(CLI::App& root) {
   make->add_option("--frames", choice->frames, "frames a sequence, instead of the scale's")->check(positive_number());
   make->add_option("--train", choice->train, "sequences for training (default: 10 or 27)")->check(natural_number());
   make->add_option("--test", choice->test, "sequences for testing (default: 3 or 8)")->check(natural_number());
+  make->add_option("--extra", choice->extra, "further sequences for training, behind the others, which stay the same")
+      ->capture_default_str()
+      ->check(natural_number());
   make->add_option("--seed", choice->seed, "seed of the scenes")->capture_default_str()->check(natural_number());
   make->add_option("--workers", choice->workers, "processes (default: one a processor)")->check(positive_number());
   make->add_option("--garment", choice->garment, "coarse garment, OBJ")->capture_default_str();

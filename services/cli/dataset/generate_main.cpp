@@ -14,7 +14,8 @@ using pleat::dataset::GenerateOptions;
 using pleat::dataset::Progress;
 
 constexpr const char* kUsage =
-    "usage: pleat-generate FOLDER [--set draping|hitting] [--scale small|full] [--frames N] [--train N] [--test N]\n"
+    "usage: pleat-generate FOLDER [--set draping|hitting] [--scale small|full] [--frames N] [--train N] [--test N] "
+    "[--extra N]\n"
     "                      [--seed N] [--workers N] [--garment OBJ] [--material JSON] [--revision TEXT] "
     "[--fine tracked|free] [--no-deflate]\n"
     "       pleat-generate --info FOLDER\n"
@@ -91,6 +92,8 @@ int run(const std::vector<std::string>& arguments) {
       train = to_number(flag, value());
     } else if (flag == "--test") {
       test = to_number(flag, value());
+    } else if (flag == "--extra") {
+      options.scenes.extra = to_number(flag, value());
     } else if (flag == "--seed") {
       options.scenes.seed = static_cast<std::uint64_t>(to_number(flag, value()));
     } else if (flag == "--workers") {

@@ -125,7 +125,7 @@ SetSize set_size(const std::string& set, bool full) {
 }
 
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
-  if (options.train < 0 || options.test < 0 || options.train + options.test < 1) {
+  if (options.train < 0 || options.test < 0 || options.extra < 0 || options.train + options.test + options.extra < 1) {
     throw_invalid_argument("data set: at least one sequence is needed");
   }
   if (options.frames < 2) throw_invalid_argument("data set: at least 2 frames per sequence are needed");
@@ -136,7 +136,8 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
   validate_material_coordinates(cloth, options.garment.string());
   const simulation::Material material = simulation::read_material(options.material);
   std::vector<std::uint32_t> edge = upper_edge(cloth);
-  const auto count = static_cast<std::size_t>(options.train + options.test);
+  const auto train = static_cast<std::size_t>(options.train), count = train + static_cast<std::size_t>(options.test),
+             all = count + static_cast<std::size_t>(options.extra);
   if (options.set == "draping" && edge.size() < count) {
     throw_invalid_argument("data set: " + std::to_string(count) + " sequences, but the upper edge of " +
                            options.garment.string() + " has only " + std::to_string(edge.size()) + " vertices");
@@ -145,18 +146,26 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
   const std::vector<std::uint32_t> ordered_edge = edge;
   for (std::size_t i = edge.size(); i > 1; --i) std::swap(edge[i - 1], edge[random.below(i)]);
 
+  // Of further sequences: vertices that nothing holds yet, then those of the training split again.
+  std::vector<std::uint32_t> others = edge;
+  others.erase(others.begin() + static_cast<std::ptrdiff_t>(std::min(train, edge.size())),
+               others.begin() + static_cast<std::ptrdiff_t>(std::min(count, edge.size())));
+  if (options.set == "draping" && all > count && others.empty()) {
+    throw_invalid_argument("data set: the test split holds every vertex of the upper edge");
+  }
+
   std::vector<SequencePlan> plans;
-  for (std::size_t i = 0; i < count; ++i) {
+  for (std::size_t i = 0; i < all; ++i) {
     SequencePlan plan;
-    const bool test = i >= static_cast<std::size_t>(options.train);
+    const bool test = i >= train && i < count;
+    const std::size_t in_split = test ? i - train : i < train ? i : i - static_cast<std::size_t>(options.test);
     plan.split = test ? "test" : "train";
     const std::string number = std::to_string(i);
     plan.name = options.set + "-" + std::string(number.size() < 2 ? 1 : 0, '0') + number;
     const double frame_time = simulation::Scene().frame_time_s;
     plan.scene = options.set == "draping"
-                     ? draping_scene(cloth, edge[i], random)
-                     : hitting_scene(cloth, ordered_edge, options.frames * frame_time,
-                                     test ? i - static_cast<std::size_t>(options.train) : i, test, random);
+                     ? draping_scene(cloth, i < count ? edge[i] : others[in_split % others.size()], random)
+                     : hitting_scene(cloth, ordered_edge, options.frames * frame_time, in_split, test, random);
     plan.scene.name = plan.name;
     plan.scene.material = material;
     plan.scene.frames = options.frames;

@@ -31,6 +31,7 @@ struct SceneOptions {
   std::string set = "draping";  ///< draping or hitting
   int train = 10;               ///< sequences for training
   int test = 3;                 ///< sequences for testing
+  int extra = 0;                ///< further sequences for training, behind the others, which stay as they are
   int frames = 150;             ///< per sequence, the initial state included
   std::uint64_t seed = 1;
   bool tracked = true;             ///< the fine cloth follows the coarse one; false: free fine simulations ([DT-S])
@@ -39,7 +40,7 @@ struct SceneOptions {
 };
 
 /// DRAPING: one vertex of the cloth's upper edge is held; the cloth starts tilted by a random rotation, falls and
-/// swings. No two sequences hold the same vertex. HITTING: two corners of the upper edge are held, and a sphere swings
+/// swings. No two sequences hold the same vertex, and no further one a vertex of the test split. HITTING: two corners of the upper edge are held, and a sphere swings
 /// through the hanging cloth; one of its five sizes and three of its eight places are in the test split only, in turn.
 /// Deterministic for a seed.
 /// Throws kInvalidArgument (unknown set, counts), and what reading the files throws.

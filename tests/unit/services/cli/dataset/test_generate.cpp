@@ -30,6 +30,36 @@ ErrorCode code_of(const std::function<void()>& action, const std::string& part) 
   return ErrorCode::kInternal;
 }
 
+// So that a larger data set contains the smaller one, and judges with the same test sequences.
+TEST_F(SmallSet, FurtherSequencesComeBehindAndHoldNoVertexOfTheTestSplit) {
+  for (const char* set : {"draping", "hitting"}) {
+    options.scenes.set = set;
+    options.scenes.train = 3;
+    options.scenes.test = 2;
+    options.scenes.extra = 0;
+    const auto plans = plan_sequences(options.scenes);
+    options.scenes.extra = 12;
+    const auto more = plan_sequences(options.scenes);
+    ASSERT_EQ(more.size(), 17u);
+    std::set<std::string> scenes;
+    for (std::size_t i = 0; i < more.size(); ++i) {
+      scenes.insert(more[i].scene_json);
+      if (i < plans.size()) {
+        EXPECT_EQ(more[i].name, plans[i].name);
+        EXPECT_EQ(more[i].split, plans[i].split);
+        EXPECT_EQ(more[i].scene_json, plans[i].scene_json);
+        continue;
+      }
+      EXPECT_EQ(more[i].split, "train");
+      for (const std::size_t test : {3u, 4u}) {
+        const bool held = more[i].scene.handles[0].vertices == plans[test].scene.handles[0].vertices;
+        EXPECT_EQ(held, options.scenes.set == "hitting") << more[i].name;
+      }
+    }
+    EXPECT_EQ(scenes.size(), 17u) << "a scene twice";
+  }
+}
+
 TEST_F(SmallSet, PlansDifferAndRepeat) {
   options.scenes.train = 5;
   options.scenes.test = 2;
