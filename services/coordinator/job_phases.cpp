@@ -58,12 +58,15 @@ std::vector<Eigen::Index> obstacle_vertices(const v1::Scene& scene,
   return counts;
 }
 
-/// The bundle that the frames in `file` were made with; nothing where no frame was, or by an older coordinator.
-std::optional<v1::ModelDescription> load_bundle(const fs::path& file) {
+/// The bundle in `file` that the frames in `partial` were made with; nothing where there are no frames, or those of an
+/// older coordinator. If the file is damaged, nothing may follow those frames: they are removed.
+std::optional<v1::ModelDescription> load_bundle(const fs::path& file, const fs::path& partial) {
   const auto content = read_file(file);
+  if (!content || frames_on_disk(partial) == 0) return std::nullopt;
   v1::ModelDescription bundle;
-  if (!content || !bundle.ParseFromString(*content)) return std::nullopt;
-  return bundle;
+  if (bundle.ParseFromString(*content) && !bundle.model().empty()) return bundle;
+  fs::remove(partial);
+  return std::nullopt;
 }
 
 /// A simulation that starts at the check-point in `file` if that lies before frame `wanted`, else at the beginning.
@@ -135,7 +138,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
 
   PipelineSession session;
   // The service's default bundle may be another one by now.
-  const auto bundle = frames_on_disk(partial) > 0 ? load_bundle(folder / "bundle.pb") : std::nullopt;
+  const auto bundle = load_bundle(folder / "bundle.pb", partial);
   session.model = describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
                                  [&] { return job.cause().has_value(); });
   session.window = settings_.window;

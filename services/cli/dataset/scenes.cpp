@@ -14,6 +14,7 @@
 namespace pleat::dataset {
 namespace {
 
+constexpr int kMostSequences = 10'000;
 constexpr double kDegree = std::numbers::pi / 180;
 
 /// Equal on every platform, unlike the standard distributions.
@@ -125,6 +126,9 @@ SetSize set_size(const std::string& set, bool full) {
 }
 
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
+  if (std::max({options.train, options.test, options.extra}) > kMostSequences) {
+    throw_invalid_argument("data set: at most " + std::to_string(kMostSequences) + " sequences of a kind");
+  }
   if (options.train < 0 || options.test < 0 || options.extra < 0 || options.train + options.test + options.extra < 1) {
     throw_invalid_argument("data set: at least one sequence is needed");
   }

@@ -40,10 +40,10 @@ struct SceneOptions {
 };
 
 /// DRAPING: one vertex of the cloth's upper edge is held; the cloth starts tilted by a random rotation, falls and
-/// swings. No two sequences hold the same vertex, and no further one a vertex of the test split. HITTING: two corners of the upper edge are held, and a sphere swings
-/// through the hanging cloth; one of its five sizes and three of its eight places are in the test split only, in turn.
-/// Deterministic for a seed.
-/// Throws kInvalidArgument (unknown set, counts), and what reading the files throws.
+/// swings. No two sequences hold the same vertex; further ones hold the others, then those of the training split again.
+/// HITTING: two corners of the upper edge are held, and a sphere swings through the hanging cloth; one of its five
+/// sizes and three of its eight places are in the test split only, in turn. Deterministic for a seed. Throws
+/// kInvalidArgument (unknown set, counts), and what reading the files throws.
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options);
 
 /// The scene as a file beside deploy/scenes/*.json would have it. Only what plan_sequences sets.

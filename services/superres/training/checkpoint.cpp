@@ -115,8 +115,8 @@ void load_checkpoint(const std::string& path, const std::string& config_json, Ne
     state.step = document.at("step").get<int>();
     state.minutes = document.at("minutes").get<double>();
     const auto sums = document.at("sums").get<std::vector<double>>();
-    // Those from before the losses on vertices hold fewer.
-    if (sums.empty() || sums.size() > std::size(state.sums))
+    // Those from before the losses on vertices hold five.
+    if (sums.size() != std::size(state.sums) && sums.size() != 5)
       throw_data_loss(path + ": check-point: wrong number of sums");
     std::copy(sums.begin(), sums.end(), std::begin(state.sums));
     state.best_score = document.at("best_score").get<double>();

@@ -27,6 +27,7 @@ struct TrainState {
 void save_checkpoint(const std::string& path, const std::string& config_json, const Network& network, const Adam& adam,
                      const TrainState& state);
 
+/// config_json: the configuration, and in "data" what tells the data apart.
 /// Restores all. kDataLoss if the file can't be read or lacks something; kFailedPrecondition, naming the key, if it was
 /// made with a configuration that computes something else.
 void load_checkpoint(const std::string& path, const std::string& config_json, Network& network, Adam& adam,

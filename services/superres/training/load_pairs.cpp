@@ -201,8 +201,8 @@ std::vector<std::array<float, 3>> flat_sheet_axes(const Topology& mesh) {
   return {to_array(u), to_array(v)};
 }
 
-VertexRead make_vertex_read(const VertexReads& reads, const Topology& fine) {
-  VertexRead result;
+MeshRead make_mesh_read(const VertexReads& reads, const Topology& fine) {
+  MeshRead result;
   const auto vertices = static_cast<std::size_t>(fine.vertex_count());
   std::size_t most = 1;
   for (std::size_t v = 0; v < vertices; ++v) {
@@ -369,7 +369,7 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
       master.topology, data.normalization);
   json names = {{"train", json::array()}, {"validation", json::array()}};
   if (needs_mesh(config.architecture)) data.mesh_base = make_mesh_base(master.topology, make_spec(config.images));
-  if (config.losses.needs_vertices()) data.vertex_read = make_vertex_read(map->vertex_reads(), master.topology.fine);
+  if (config.losses.needs_vertices()) data.mesh_read = make_mesh_read(map->vertex_reads(), master.topology.fine);
   for (const SequenceInfo& info : sequences) {
     PairSequence sequence;
     sequence.name = info.name;

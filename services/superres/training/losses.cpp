@@ -70,7 +70,7 @@ torch::Tensor mesh_normals(const torch::Tensor& positions, const torch::Tensor& 
   const auto areas = torch::cross(at_corner(positions, faces, 1) - a, at_corner(positions, faces, 2) - a, 1);
   const auto places = faces.flatten().expand({positions.size(0), 3, -1});
   const auto sums = torch::zeros_like(positions).scatter_add(2, places, areas.repeat({1, 1, 3}));
-  return sums / length(sums).clamp_min(1e-20);
+  return sums / length(sums).clamp_min(1e-12);
 }
 
 torch::Tensor edge_lengths(const torch::Tensor& positions, const torch::Tensor& edges) {
@@ -106,7 +106,7 @@ void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const B
 
 }  // namespace
 
-void LossConstants::set_vertices(const VertexRead& read, const torch::Device& device) {
+void LossConstants::set_vertices(const MeshRead& read, const torch::Device& device) {
   const std::int64_t vertices = read.vertex_count();
   vertex_weights = torch::tensor(read.weights).view({-1, vertices}).to(device);
   faces = torch::tensor(read.faces, torch::kInt64).view({3, -1}).to(device);

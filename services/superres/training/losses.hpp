@@ -32,10 +32,11 @@ struct LossConstants {
   torch::Tensor edge_lengths;    ///< (E): of the rest mesh, metres
 
   /// Sets what the losses on vertices need, which have nothing to read without it.
-  void set_vertices(const VertexRead& read, const torch::Device& device);
+  void set_vertices(const MeshRead& read, const torch::Device& device);
 };
 
-/// Each is the mean over valid texels and channels, unweighted; total is their weighted sum (eq. 6).
+/// Each is the mean over valid texels and channels, or over vertices or edges, unweighted; total is their weighted sum
+/// (eq. 6).
 struct Losses {
   torch::Tensor displacement, normal, velocity, kinematic, vertices, vertex_normals, edges, total;
 };

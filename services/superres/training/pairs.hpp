@@ -52,7 +52,7 @@ class ImageStore {
 };
 
 /// The fine mesh as a function of the fine image: what the conversion reads to make a mesh of it.
-struct VertexRead {
+struct MeshRead {
   std::vector<std::int64_t> texels;  ///< (K x V): row-major places in the image; weight 0 where a vertex has fewer
   std::vector<float> weights;        ///< (K x V): the vertex's displacement is the weighted sum of those texels
   std::vector<float> rest;           ///< (3 x V): rest positions, metres
@@ -80,7 +80,7 @@ struct PairData {
   std::string image_spec = "{}";
   std::string description = "{}";  ///< JSON about the data set, for the bundle
   MeshBase mesh_base;              ///< for networks that need the mesh, else empty
-  VertexRead vertex_read;          ///< for losses on vertices, else empty
+  MeshRead mesh_read;              ///< for losses on vertices, else empty
   /// Directions of u and v in the rest mesh if that is flat, else empty. Needed for mirrored copies.
   std::vector<std::array<float, 3>> sheet_axes;
 

@@ -136,7 +136,7 @@ Sampler::Sampler(const TrainConfig& config, const PairData& data) : config_(conf
         torch::tensor(data.mesh_base.structure).view({1, kStructureChannels, height, width}), kScale);
   }
   if (config.losses.needs_vertices()) {
-    const VertexRead& read = data.vertex_read;
+    const MeshRead& read = data.mesh_read;
     if (read.rest.empty()) throw_invalid_argument("data set: no vertex reads, which losses on vertices need");
     vertex_rest_ = torch::tensor(read.rest).view({3, -1});
     for (int bits = 0; bits < 4; ++bits) {

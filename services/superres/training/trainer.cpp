@@ -46,6 +46,17 @@ double processor_seconds() {
 
 double decibel(double mean_square) { return mean_square > 0 ? -10 * std::log10(mean_square) : 200; }
 
+/// The configuration and what it was applied to: a training can't go on with a data set that has grown meanwhile.
+std::string identity(const TrainConfig& config, const PairData& data) {
+  json result = json::parse(pleat::superres::to_json(config));
+  json sequences = json::object();
+  for (const PairSequence& sequence : data.sequences) sequences[sequence.name] = sequence.coarse.size();
+  result["data"] = {{"sequences", std::move(sequences)},
+                    {"minimum", data.normalization.minimum},
+                    {"maximum", data.normalization.maximum}};
+  return result.dump();
+}
+
 class Trainer {
  public:
   Trainer(const TrainConfig& config, const PairData& data, MeshJudge* judge, const TrainHooks& hooks)
@@ -58,6 +69,7 @@ class Trainer {
         averaged_(config.architecture, config.seed),
         device_(choose_device()),
         config_json_(pleat::superres::to_json(config)),
+        identity_(identity(config, data)),
         checkpoint_(config.output + "/checkpoint.pt"),
         log_(config.output + "/log.csv"),
         bundle_(config.output + "/" + config.name + ".pt"),
@@ -90,7 +102,7 @@ class Trainer {
     }
     Adam adam(network_.parameter_values(), config_.optimizer);
     if (std::filesystem::exists(checkpoint_)) {
-      load_checkpoint(checkpoint_, config_json_, network_, adam, state_);
+      load_checkpoint(checkpoint_, identity_, network_, adam, state_);
       say("resumed at epoch " + std::to_string(state_.epoch + 1) + ", step " + std::to_string(state_.step));
     } else if (!config_.initial.empty()) {
       load_initial(config_.initial, network_);
@@ -159,7 +171,7 @@ class Trainer {
     constants_.range = torch::tensor(range).to(device_);
     constants_.deviation = torch::tensor(conditioning.output_deviation).to(device_);
     constants_.frame_time_s = data_.frame_time_s;
-    if (config_.losses.needs_vertices()) constants_.set_vertices(data_.vertex_read, device_);
+    if (config_.losses.needs_vertices()) constants_.set_vertices(data_.mesh_read, device_);
   }
 
   double learning_rate(std::int64_t step) const {
@@ -288,7 +300,7 @@ class Trainer {
     if (!first()) return;
     TrainState state = state_;
     state.minutes = minutes();
-    save_checkpoint(checkpoint_, config_json_, network_, adam, state);
+    save_checkpoint(checkpoint_, identity_, network_, adam, state);
     saved_ = Clock::now();
   }
 
@@ -471,7 +483,7 @@ class Trainer {
   Network network_, averaged_;
   torch::Device device_;
   torch::ScalarType type_ = torch::kFloat32;
-  std::string config_json_, checkpoint_, log_, bundle_;
+  std::string config_json_, identity_, checkpoint_, log_, bundle_;
   Communicator communicator_;
   int micro_batch_ = 1;
   bool stop_ = false;

@@ -286,6 +286,24 @@ TEST_F(JobsTest, ARestartedCoordinatorDoesNotMixBundles) {
   expect_right(job.result_path(), job.frames_complete());
 }
 
+TEST_F(JobsTest, ADamagedNoteOfTheBundleStartsTheJobAnew) {
+  start();
+  fakes_.simulation().faults.delay(3ms);
+  create(60, "a");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 12; }));
+  stop();
+  const auto note = std::filesystem::path(options_.data) / "jobs/a/bundle.pb";
+  ASSERT_TRUE(std::filesystem::exists(note));
+  std::ofstream(note, std::ios::trunc) << "nothing";
+  const int before = fakes_.simulation().frames;
+  fakes_.simulation().faults.delay(0ms);
+  start();
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  expect_right(job.result_path(), 60);
+  EXPECT_GE(fakes_.simulation().frames - before, 60) << "frames of an unknown bundle were kept";
+}
+
 TEST_F(JobsTest, AMissingServiceIsNamedWithItsAddress) {
   fakes_.refinement().stop();
   start();

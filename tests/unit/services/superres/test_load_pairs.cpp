@@ -67,11 +67,11 @@ TEST_F(LoadPairs, ImagesBelongToTheFrames) {
 
 TEST_F(LoadPairs, VertexReadMakesTheMeshThatTheJudgeMakes) {
   write(true);
-  EXPECT_TRUE(load_pairs(config(), quiet).data.vertex_read.rest.empty());
+  EXPECT_TRUE(load_pairs(config(), quiet).data.mesh_read.rest.empty());
   TrainConfig c = config();
   c.patch = 0, c.losses.edges = 0.1;
   const LoadedPairs loaded = load_pairs(c, quiet);
-  const VertexRead& read = loaded.data.vertex_read;
+  const MeshRead& read = loaded.data.mesh_read;
   const Topology& mesh = master_.topology.fine;
   const auto vertices = static_cast<std::size_t>(mesh.vertex_count()),
              faces = static_cast<std::size_t>(mesh.face_count());

@@ -163,8 +163,8 @@ TEST(Losses, TrueMotionHasNoKinematicLoss) {
 constexpr int kVertices = 5, kReads = 2;
 
 /// Five vertices, four faces around the first one, each vertex the mean of two texels, off centre.
-VertexRead example_read() {
-  VertexRead read;
+MeshRead example_read() {
+  MeshRead read;
   for (int i = 0; i < kReads * kVertices; ++i) {
     read.texels.push_back((7 * i + 4) % (kHeight * kWidth));
     read.weights.push_back(i < kVertices ? 0.25F : 0.75F);
@@ -176,7 +176,7 @@ VertexRead example_read() {
 }
 
 /// Turns an example into one with vertices, everything in double.
-void add_vertices(const VertexRead& read, Batch& batch, LossConstants& constants) {
+void add_vertices(const MeshRead& read, Batch& batch, LossConstants& constants) {
   constants.set_vertices(read, torch::kCPU);
   constants.vertex_weights = constants.vertex_weights.to(torch::kFloat64);
   constants.edge_lengths = constants.edge_lengths.to(torch::kFloat64);
@@ -189,7 +189,7 @@ void add_vertices(const VertexRead& read, Batch& batch, LossConstants& constants
 using Points = Eigen::Matrix<double, Eigen::Dynamic, 3>;
 
 /// The mesh of one image, read vertex by vertex.
-Points plain_mesh(const torch::Tensor& images, int n, const VertexRead& read, const LossConstants& constants) {
+Points plain_mesh(const torch::Tensor& images, int n, const MeshRead& read, const LossConstants& constants) {
   const auto image = images.accessor<double, 4>()[n];
   const auto minimum = constants.minimum.accessor<double, 1>(), range = constants.range.accessor<double, 1>();
   Points points(kVertices, 3);
@@ -206,7 +206,7 @@ Points plain_mesh(const torch::Tensor& images, int n, const VertexRead& read, co
   return points;
 }
 
-Points plain_normals(const Points& points, const VertexRead& read) {
+Points plain_normals(const Points& points, const MeshRead& read) {
   Points normals = Points::Zero(kVertices, 3);
   const std::size_t faces = read.faces.size() / 3;
   for (std::size_t f = 0; f < faces; ++f) {
@@ -218,7 +218,7 @@ Points plain_normals(const Points& points, const VertexRead& read) {
 }
 
 /// The three losses on vertices, weighted, mesh by mesh.
-double plain_vertex_losses(const torch::Tensor& synthesized, const Batch& batch, const VertexRead& read,
+double plain_vertex_losses(const torch::Tensor& synthesized, const Batch& batch, const MeshRead& read,
                            const LossConstants& constants, const LossConfig& config) {
   const auto range = constants.range.accessor<double, 1>(), deviation = constants.deviation.accessor<double, 1>();
   double length = 0, normal_length = 0, sum = 0;
@@ -248,7 +248,7 @@ double plain_vertex_losses(const torch::Tensor& synthesized, const Batch& batch,
 TEST(VertexLosses, AgreeWithPlainLoopsAndFiniteDifferences) {
   Batch batch = example_batch();
   LossConstants constants = example_constants();
-  const VertexRead read = example_read();
+  const MeshRead read = example_read();
   add_vertices(read, batch, constants);
   for (const char* scaling : {"none", "deviation"}) {
     for (int term = 0; term < 3; ++term) {
@@ -286,7 +286,7 @@ TEST(VertexLosses, AgreeWithPlainLoopsAndFiniteDifferences) {
 
 /// A right triangle with a vertex that is 1 cm or 1 m off.
 TEST(VertexLosses, OneTriangleByHand) {
-  VertexRead read;
+  MeshRead read;
   read.texels = {0, 1, 2};
   read.weights = {1, 1, 1};
   read.rest = {0, 1, 0, 0, 0, 0, 0, 0, 1};  // (0,0,0), (1,0,0), (0,0,1)

@@ -87,6 +87,10 @@ TEST(TrainConfig, ResumptionMayChangeLimitsOnly) {
   EXPECT_EQ(first_difference(json(""), json(R"("epochs": 7, "max_minutes": 1, "threads": 2)")), "");
   EXPECT_EQ(first_difference(json(""), json(R"("batch": 3)")), "batch");
   EXPECT_EQ(first_difference(json(""), json(R"("optimizer": {"beta1": 0.5})")), "optimizer/beta1");
+  const auto one = json(R"("validation": {"sequences": ["a"]})"),
+             two = json(R"("validation": {"sequences": ["a", "b"]})");
+  EXPECT_EQ(first_difference(one, two), "validation/sequences/1");
+  EXPECT_EQ(first_difference(two, one), "validation/sequences/1");
 }
 
 TEST(TrainConfig, KeysThatAnOlderCheckpointLacksHaveTheirDefaults) {

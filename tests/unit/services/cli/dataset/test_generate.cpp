@@ -43,7 +43,9 @@ TEST_F(SmallSet, FurtherSequencesComeBehindAndHoldNoVertexOfTheTestSplit) {
     ASSERT_EQ(more.size(), 17u);
     std::set<std::string> scenes;
     for (std::size_t i = 0; i < more.size(); ++i) {
-      scenes.insert(more[i].scene_json);
+      auto scene = nlohmann::json::parse(more[i].scene_json);
+      scene.erase("name");
+      scenes.insert(scene.dump());
       if (i < plans.size()) {
         EXPECT_EQ(more[i].name, plans[i].name);
         EXPECT_EQ(more[i].split, plans[i].split);
@@ -80,6 +82,9 @@ TEST_F(SmallSet, PlansDifferAndRepeat) {
   EXPECT_EQ(plans[4].split, "train");
   EXPECT_EQ(plans[5].split, "test");
   EXPECT_EQ(plan_sequences(options.scenes)[3].scene_json, plans[3].scene_json);
+  options.scenes.extra = 1'000'000'000;
+  EXPECT_EQ(code_of([&] { plan_sequences(options.scenes); }, "at most"), ErrorCode::kInvalidArgument);
+  options.scenes.extra = 0;
   options.scenes.seed = 2;
   EXPECT_NE(plan_sequences(options.scenes)[3].scene_json, plans[3].scene_json);
   options.scenes.train = 10;
