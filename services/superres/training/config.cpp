@@ -293,17 +293,14 @@ std::string first_difference(const std::string& a, const std::string& b) {
     result.merge_patch(json::parse(text));
     return result.flatten();
   };
-  json left = whole(a), right = whole(b);
-  // Check-points from before say nothing of their data.
-  const auto forget_data = [](json& flat) {
-    for (auto it = flat.begin(); it != flat.end();)
-      it = it.key().rfind("/data/", 0) == 0 ? flat.erase(it) : std::next(it);
-  };
-  if (!json::parse(a).contains("data") || !json::parse(b).contains("data")) forget_data(left), forget_data(right);
+  const json left = whole(a), right = whole(b);
   static const char* const kFree[] = {"/output",         "/epochs",  "/threads", "/max_minutes",  "/checkpoint_minutes",
                                       "/cache_limit_mb", "/initial", "/dataset", "/cache_folder", "/strict",
                                       "/micro_batch"};
-  const auto free = [](const std::string& key) {
+  // Check-points from before say nothing of their data.
+  const bool data_known = json::parse(a).contains("data") && json::parse(b).contains("data");
+  const auto free = [&](const std::string& key) {
+    if (!data_known && key.rfind("/data/", 0) == 0) return true;
     return std::any_of(std::begin(kFree), std::end(kFree), [&](const char* k) { return key == k; });
   };
   for (const auto& [key, value] : left.items()) {

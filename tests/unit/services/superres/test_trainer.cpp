@@ -66,6 +66,18 @@ PairData waves(int sequences, int frames, bool fixed_point = false) {
   return data;
 }
 
+LossConstants constants_of(const PairData& data) {
+  LossConstants constants;
+  constants.minimum =
+      torch::tensor(std::vector<float>(data.normalization.minimum.begin(), data.normalization.minimum.end()));
+  constants.range =
+      torch::tensor(std::vector<float>(data.normalization.maximum.begin(), data.normalization.maximum.end())) -
+      constants.minimum;
+  constants.deviation = torch::ones({9});
+  constants.frame_time_s = kFrameTime;
+  return constants;
+}
+
 /// A strip of triangles across the image that no reflection maps to itself; vertices read two texels each.
 MeshRead strip() {
   MeshRead read;
@@ -392,14 +404,7 @@ TEST_F(TrainerTest, MirroredBatchesKeepTheMotion) {
     fine.append(image);
   }
   sequence.fine = fine;
-  LossConstants constants;
-  constants.minimum =
-      torch::tensor(std::vector<float>(data.normalization.minimum.begin(), data.normalization.minimum.end()));
-  constants.range =
-      torch::tensor(std::vector<float>(data.normalization.maximum.begin(), data.normalization.maximum.end())) -
-      constants.minimum;
-  constants.deviation = torch::ones({9});
-  constants.frame_time_s = kFrameTime;
+  const LossConstants constants = constants_of(data);
   TrainConfig c = config();
   c.mirror = true;
   c.losses.scaling = "none";
@@ -441,14 +446,7 @@ TEST_F(TrainerTest, MirroredBatchesHaveTheSameLossesOnVertices) {
   c.losses.vertices = c.losses.vertex_normals = c.losses.edges = 1;
   TrainConfig mirrored = c;
   mirrored.mirror = true;
-  LossConstants constants;
-  constants.minimum =
-      torch::tensor(std::vector<float>(data.normalization.minimum.begin(), data.normalization.minimum.end()));
-  constants.range =
-      torch::tensor(std::vector<float>(data.normalization.maximum.begin(), data.normalization.maximum.end())) -
-      constants.minimum;
-  constants.deviation = torch::ones({9});
-  constants.frame_time_s = kFrameTime;
+  LossConstants constants = constants_of(data);
   constants.set_vertices(data.mesh_read, torch::kCPU);
   const Sampler plain(c, data), reflecting(mirrored, data);
   int moved = 0, reflected = 0;
