@@ -86,7 +86,7 @@ compose-demo: ## build the container images and run the demo job against them
 	@docker/compose-demo.sh $(OUT)/compose-demo
 
 viewer: ## rebuild the viewer inside report.html (needs npm; the built one is committed)
-	@services/cli/viewer/build.sh
+	@cd services/presentation/viewer && npm ci --no-fund --no-audit && npm run build
 
 proto-descriptor: ## renew the committed descriptor of the wire contract after adding to it
 	@protoc -I proto --include_imports --descriptor_set_out=proto/pleat/v1/descriptor.binpb proto/pleat/v1/*.proto

@@ -4,35 +4,35 @@
 #include <fstream>
 #include <optional>
 
-#include "services/cli/bench.hpp"
+#include "common/base/machine.hpp"
+#include "common/base/progress.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/machine.hpp"
-#include "services/cli/progress.hpp"
-#include "services/cli/tables.hpp"
+#include "services/evaluation/bench.hpp"
+#include "services/evaluation/tables.hpp"
 
 namespace pleat::cli {
 namespace {
 
 struct Benchmark {
   const char* name;
-  Figures (*run)(const BenchOptions&);
+  evaluation::Figures (*run)(const evaluation::BenchOptions&);
 };
-constexpr Benchmark kBenchmarks[] = {{"simulation", bench_simulation},
-                                     {"conversion", bench_conversion},
-                                     {"superres", bench_superres},
-                                     {"refinement", bench_refinement},
-                                     {"pipeline", bench_pipeline}};
+constexpr Benchmark kBenchmarks[] = {{"simulation", evaluation::bench_simulation},
+                                     {"conversion", evaluation::bench_conversion},
+                                     {"superres", evaluation::bench_superres},
+                                     {"refinement", evaluation::bench_refinement},
+                                     {"pipeline", evaluation::bench_pipeline}};
 
 constexpr const char* kTables = "tables";
 
 struct BenchChoice {
   std::vector<std::string> names;  // empty: all
-  BenchOptions options;
-  TablesOptions tables;
+  evaluation::BenchOptions options;
+  evaluation::TablesOptions tables;
   bool json = false;
 };
 
-void print_figures(const std::string& name, const Figures& figures) {
+void print_figures(const std::string& name, const evaluation::Figures& figures) {
   std::printf("%s\n", name.c_str());
   for (const auto& [figure, value] : figures)
     std::printf("  %-36s %12.5g %-28s (%zu runs)\n", figure.c_str(), value.median, value.unit.c_str(), value.runs);
@@ -47,7 +47,7 @@ std::filesystem::path larger(const std::filesystem::path& folder) {
 
 /// Needs data sets and trained bundles, and minutes: not among the benchmarks that run without a name.
 int tables(BenchChoice choice) {
-  TablesOptions& options = choice.tables;
+  evaluation::TablesOptions& options = choice.tables;
   options.models = choice.options.models;
   options.out = choice.options.out;
   if (options.draping.empty()) options.draping = larger("out/dataset/draping");
@@ -55,8 +55,8 @@ int tables(BenchChoice choice) {
   std::filesystem::create_directories(options.out);
   std::optional<Progress> progress;
   std::string shown;
-  const PaperTables result =
-      make_tables(options, [&](std::uint64_t done, std::uint64_t total, const std::string& benchmark) {
+  const evaluation::PaperTables result =
+      evaluation::make_tables(options, [&](std::uint64_t done, std::uint64_t total, const std::string& benchmark) {
         if (!progress || shown != benchmark) progress.emplace(benchmark + ", frames", total);
         shown = benchmark;
         progress->update(done);
@@ -64,7 +64,7 @@ int tables(BenchChoice choice) {
   if (progress) progress->finish();
   const std::filesystem::path page = options.out / "tables.html";
   std::ofstream file(page, std::ios::trunc);
-  file << to_html(result);
+  file << evaluation::to_html(result);
   if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, page.string() + ": can't write");
   if (choice.json) {
     const nlohmann::json json{
@@ -85,7 +85,7 @@ int bench(const BenchChoice& choice) {
   const nlohmann::json machine = machine_info();
   for (const Benchmark& benchmark : kBenchmarks) {
     if (!choice.names.empty() && std::count(choice.names.begin(), choice.names.end(), benchmark.name) == 0) continue;
-    const Figures figures = benchmark.run(choice.options);
+    const evaluation::Figures figures = benchmark.run(choice.options);
     json.update(to_json(benchmark.name, figures));
     if (!choice.json) print_figures(benchmark.name, figures);
   }

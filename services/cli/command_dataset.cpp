@@ -1,12 +1,12 @@
 // `pleat dataset`: paired data sets.
 #include <cstdio>
 
+#include "common/base/machine.hpp"
+#include "common/base/progress.hpp"
+#include "common/base/signals.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/dataset/generate.hpp"
-#include "services/cli/dataset/verify.hpp"
-#include "services/cli/machine.hpp"
-#include "services/cli/progress.hpp"
-#include "services/cli/signals.hpp"
+#include "services/dataset/generate.hpp"
+#include "services/dataset/verify.hpp"
 
 namespace pleat::cli {
 namespace {

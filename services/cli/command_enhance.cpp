@@ -2,14 +2,14 @@
 #include <chrono>
 #include <cstdio>
 
+#include "common/base/progress.hpp"
 #include "common/mesh/obj.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/enhance_session.hpp"
-#include "services/cli/launcher.hpp"
-#include "services/cli/obstacle_input.hpp"
+#include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
-#include "services/cli/progress.hpp"
 #include "services/cli/result_recorder.hpp"
+#include "services/presentation/input/obstacle_input.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -31,8 +31,8 @@ struct EnhanceOptions {
 int enhance(const EnhanceOptions& options) {
   const Topology rest = read_obj(options.rest);
   validate_material_coordinates(rest, options.rest);
-  const auto sequence = open_frame_sequence(options.frames, rest);
-  const ObstacleInput obstacles(options.obstacles);
+  const auto sequence = presentation::open_frame_sequence(options.frames, rest);
+  const presentation::ObstacleInput obstacles(options.obstacles);
   const bool own_obstacles = !options.obstacles.empty();
   std::uint64_t count = sequence->frame_count();
   if (options.count > 0) count = std::min(count, options.count);
@@ -94,7 +94,7 @@ int enhance(const EnhanceOptions& options) {
     std::error_code ignored;
     fs::remove_all(out / "services", ignored);
   }
-  ReportSummary summary;
+  presentation::ReportSummary summary;
   summary.title = fs::path(options.rest).stem().string();
   summary.model = session.model();
   summary.device = session.device();

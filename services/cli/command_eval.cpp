@@ -2,12 +2,12 @@
 #include <chrono>
 #include <cstdio>
 
+#include "common/base/progress.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/evaluation.hpp"
-#include "services/cli/launcher.hpp"
+#include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
-#include "services/cli/progress.hpp"
-#include "services/cli/session_method.hpp"
+#include "services/evaluation/evaluation.hpp"
+#include "services/evaluation/session_method.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -17,7 +17,7 @@ namespace fs = std::filesystem;
 struct EvalOptions {
   std::string dataset, logs = "out/eval", coordinator;
   std::vector<std::string> models;
-  EvaluationOptions evaluation;
+  evaluation::EvaluationOptions evaluation;
   bool json = false, baselines = false, skip_refinement = false;
   double timeout_s = 30;
   rpc::TlsOptions tls;
@@ -25,8 +25,8 @@ struct EvalOptions {
 
 int evaluate_command(const EvalOptions& options) {
   const DatasetReader dataset(options.dataset);
-  std::vector<Method> methods{barycentric_method(dataset.topology())};
-  if (options.baselines) methods.push_back(zurdo_method(dataset));
+  std::vector<evaluation::Method> methods{evaluation::barycentric_method(dataset.topology())};
+  if (options.baselines) methods.push_back(evaluation::zurdo_method(dataset));
   std::optional<Launcher> launcher;
   if (!options.models.empty()) {
     std::vector<std::string> names;
@@ -57,18 +57,20 @@ int evaluate_command(const EvalOptions& options) {
     rpc::wait_healthy(channel, "pleat.v1.Coordinator", address,
                       std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
     for (const std::string& name : names)
-      methods.push_back(session_method(channel, address, dataset.topology(), name, !options.skip_refinement));
+      methods.push_back(
+          evaluation::session_method(channel, address, dataset.topology(), name, !options.skip_refinement));
   }
   std::optional<Progress> progress;
-  const auto figures = evaluate(dataset, methods, options.evaluation, [&](std::uint64_t done, std::uint64_t total) {
-    if (!progress) progress.emplace("frames", total);
-    progress->update(done);
-  });
+  const auto figures =
+      evaluation::evaluate(dataset, methods, options.evaluation, [&](std::uint64_t done, std::uint64_t total) {
+        if (!progress) progress.emplace("frames", total);
+        progress->update(done);
+      });
   if (progress) progress->finish();
   if (options.json)
     std::printf("%s\n", to_json(figures).dump(2).c_str());
   else
-    std::printf("%s", to_table(figures).c_str());
+    std::printf("%s", evaluation::to_table(figures).c_str());
   return kExitDone;
 }
 

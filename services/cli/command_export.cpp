@@ -1,10 +1,10 @@
 // `pleat export`: results as files that other tools open.
 #include <cstdio>
 
+#include "common/base/progress.hpp"
+#include "common/base/signals.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/export/export.hpp"
-#include "services/cli/progress.hpp"
-#include "services/cli/signals.hpp"
+#include "services/presentation/export/export.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -15,12 +15,12 @@ struct ExportOptions {
 
 int export_result(const ExportOptions& options) {
   namespace fs = std::filesystem;
-  const ExportFormat format = parse_export_format(options.format);
-  const ExportInput input = read_export_input(options.result, options.which);
+  const presentation::ExportFormat format = presentation::parse_export_format(options.format);
+  const presentation::ExportInput input = presentation::read_export_input(options.result, options.which);
   const fs::path folder =
       options.out.empty() ? fs::path(options.result).parent_path() / options.format : fs::path(options.out);
   Progress progress("frames", input.frame_count);
-  const auto files = export_frames(input, format, folder, [&progress](std::size_t done) {
+  const auto files = presentation::export_frames(input, format, folder, [&progress](std::size_t done) {
     progress.update(done);
     if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted after " + std::to_string(done) + " frames");
   });

@@ -8,16 +8,16 @@
 #include <random>
 #include <thread>
 
+#include "common/base/progress.hpp"
+#include "common/base/signals.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/status.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/job_watcher.hpp"
-#include "services/cli/launcher.hpp"
+#include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
-#include "services/cli/progress.hpp"
 #include "services/cli/result_recorder.hpp"
-#include "services/cli/scene_file.hpp"
-#include "services/cli/signals.hpp"
+#include "services/presentation/input/scene_file.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -89,7 +89,7 @@ class Run {
   explicit Run(const RunOptions& options) : options_(options), out_(options.out) {}
 
   int operator()() {
-    v1::Scene scene = read_scene_file(options_.scene);
+    v1::Scene scene = presentation::read_scene_file(options_.scene);
     if (options_.untangle) scene.set_untangle(true);
     const bool local = options_.coordinator.empty();
     ModelChoice model{options_.model, {}};
@@ -123,7 +123,7 @@ class Run {
     request.set_job_id(random_job_id(scene.name()));
     const std::uint32_t frames = options_.frames > 0 ? options_.frames : scene.frames();
     const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
-    RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, scene_json(scene), {}});
+    RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, presentation::scene_json(scene), {}});
     *request.mutable_scene() = std::move(scene);
 
     v1::Job job;
@@ -224,7 +224,7 @@ class Run {
     if (job.state() != v1::Job::STATE_DONE)
       throw Error(ErrorCode::kInternal, "job " + job.id() + " failed: " + job.error() + "; " + state);
     if (kept.empty()) throw_internal("job " + job.id() + " is done but left no result");
-    ReportSummary summary;
+    presentation::ReportSummary summary;
     summary.title = job.scene_name();
     summary.model = job.summary().model();
     summary.device = job.summary().device();

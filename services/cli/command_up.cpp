@@ -3,9 +3,9 @@
 #include <cstdio>
 #include <thread>
 
+#include "common/base/signals.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/launcher.hpp"
-#include "services/cli/signals.hpp"
+#include "services/cli/launcher/launcher.hpp"
 
 namespace pleat::cli {
 namespace {

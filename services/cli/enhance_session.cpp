@@ -2,9 +2,9 @@
 
 #include <deque>
 
+#include "common/base/signals.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/stream.hpp"
-#include "services/cli/signals.hpp"
 
 namespace pleat::cli {
 

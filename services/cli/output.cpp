@@ -5,8 +5,8 @@
 #include <cstdio>
 
 #include "common/base/error.hpp"
-#include "services/cli/launcher.hpp"
-#include "services/cli/machine.hpp"
+#include "common/base/machine.hpp"
+#include "services/cli/launcher/launcher.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -30,18 +30,18 @@ void make_output_folder(const fs::path& folder) {
   if (::access(folder.c_str(), W_OK) != 0) throw_invalid_argument(folder.string() + ": can't be written");
 }
 
-void write_reports(const fs::path& folder, ReportSummary summary) {
+void write_reports(const fs::path& folder, presentation::ReportSummary summary) {
   summary.git_revision = git_revision();
   summary.extra["machine"] = machine_info();
-  const ReportInput input = read_report_input(folder / "result.h5", std::move(summary));
-  write_report_json(input, folder / "report.json");
-  write_report_html(input, folder / "report.html");
-  const nlohmann::json report = make_report_json(input);
+  const presentation::ReportInput input = presentation::read_report_input(folder / "result.h5", std::move(summary));
+  presentation::write_report_json(input, folder / "report.json");
+  presentation::write_report_html(input, folder / "report.html");
+  const nlohmann::json report = presentation::make_report_json(input);
   std::printf("%zu frames, %lld -> %lld vertices, %.2f s, %.2f frames a second\n", input.frame_count,
               static_cast<long long>(input.coarse_topology.vertex_count()),
               static_cast<long long>(input.fine_topology.vertex_count()), report.value("wall_s", 0.0),
               report.value("frames_per_s", 0.0));
-  for (const ReportStage& stage : input.stages) {
+  for (const presentation::ReportStage& stage : input.stages) {
     const nlohmann::json& figures = report.at("stages").at(stage.name);
     std::printf("  %-14s median %8.2f ms   p95 %8.2f ms\n", stage.name.c_str(), figures.value("median_ms", 0.0),
                 figures.value("p95_ms", 0.0));

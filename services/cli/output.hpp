@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <string>
 
-#include "services/cli/report/report.hpp"
+#include "services/presentation/report/report.hpp"
 
 namespace pleat::cli {
 
@@ -12,7 +12,7 @@ namespace pleat::cli {
 void make_output_folder(const std::filesystem::path& folder);
 
 /// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout.
-void write_reports(const std::filesystem::path& folder, ReportSummary summary);
+void write_reports(const std::filesystem::path& folder, presentation::ReportSummary summary);
 
 /// "draping" and, if the text is a path, its folder: "deploy/models/draping.pt" -> {draping, deploy/models}.
 struct ModelChoice {

@@ -5,9 +5,9 @@
 #include <iostream>
 #include <new>
 
+#include "common/base/machine.hpp"
+#include "common/base/signals.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/machine.hpp"
-#include "services/cli/signals.hpp"
 
 namespace pleat::cli {
 namespace {

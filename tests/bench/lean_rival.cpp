@@ -9,9 +9,9 @@
 #include <string>
 #include <vector>
 
-#include "services/cli/machine.hpp"
-#include "services/cli/median.hpp"
-#include "services/cli/scene_file.hpp"
+#include "common/base/machine.hpp"
+#include "common/base/statistics.hpp"
+#include "services/presentation/input/scene_file.hpp"
 #include "services/refinement/judge.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "services/simulation/simulation.hpp"
@@ -74,7 +74,7 @@ Run run_engine(Scene scene, Mode mode, int frames) {
 
 int measure(const std::string& scene_file, pleat::bench::LeanOptions options, int frames,
             const std::string& json_file) {
-  Scene scene = pleat::simulation::scene_from_message(pleat::cli::read_scene_file(scene_file));
+  Scene scene = pleat::simulation::scene_from_message(pleat::presentation::read_scene_file(scene_file));
   scene.threads = static_cast<int>(options.threads);
   scene.frames = 1;
   Simulation simulation(scene, Mode::kTrackedFine);
@@ -100,25 +100,24 @@ int measure(const std::string& scene_file, pleat::bench::LeanOptions options, in
       frames, 1e3 * scene.frame_time_s, options.threads, options.substeps, 1e3 * radius);
   std::printf("%-38s %10s %10s %12s %14s %12s\n", "", "median ms", "p95 ms", "lean / it", "intersections",
               "dirty frames");
-  const double lean = pleat::cli::median(rows[0].run.frame_ms);
+  const double lean = pleat::median(rows[0].run.frame_ms);
   json figures;
   for (const Row& row : rows) {
-    const double ms = pleat::cli::median(row.run.frame_ms);
-    std::printf("%-38s %10.2f %10.2f %12.2f %14zu %12zu\n", row.name, ms, pleat::cli::quantile(row.run.frame_ms, 0.95),
+    const double ms = pleat::median(row.run.frame_ms);
+    std::printf("%-38s %10.2f %10.2f %12.2f %14zu %12zu\n", row.name, ms, pleat::quantile(row.run.frame_ms, 0.95),
                 lean / ms, row.run.intersections, row.run.dirty_frames);
     figures[row.figure] = {{"median", ms}, {"runs", row.run.frame_ms.size()}, {"unit", "ms"}};
     figures[std::string(row.figure) + "_self_intersections"] = {
         {"median", row.run.intersections}, {"runs", row.run.frame_ms.size()}, {"unit", "pairs of faces, all frames"}};
   }
   for (std::size_t k = 2; k < rows.size(); ++k) {
-    figures[std::string("lean_over_") + rows[k].figure] = {{"median", lean / pleat::cli::median(rows[k].run.frame_ms)},
-                                                           {"runs", rows[k].run.frame_ms.size()},
-                                                           {"unit", "1"}};
+    figures[std::string("lean_over_") + rows[k].figure] = {
+        {"median", lean / pleat::median(rows[k].run.frame_ms)}, {"runs", rows[k].run.frame_ms.size()}, {"unit", "1"}};
   }
   if (!json_file.empty()) {
     std::ofstream(json_file) << json{{"lean_rival", figures},
-                                     {"machine", pleat::cli::machine_info()},
-                                     {"git_revision", pleat::cli::git_revision()}}
+                                     {"machine", pleat::machine_info()},
+                                     {"git_revision", pleat::git_revision()}}
                                     .dump(2)
                              << "\n";
   }

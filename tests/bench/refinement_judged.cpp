@@ -7,7 +7,7 @@
 #include <random>
 
 #include "common/base/error.hpp"
-#include "services/cli/bench_inputs.hpp"
+#include "services/evaluation/bench_inputs.hpp"
 #include "services/refinement/refiner.hpp"
 #include "tests/support/cgal_judge.hpp"
 
@@ -15,18 +15,18 @@ namespace {
 
 using namespace pleat;  // a program of its own
 
-int run(const cli::BenchOptions& options, float noise) {
+int run(const evaluation::BenchOptions& options, float noise) {
   std::mt19937 random(1);
   std::normal_distribution<float> normal(0, noise);
   std::optional<Refiner> refiner;
-  const cli::RefinementSetting* setting = nullptr;
+  const evaluation::RefinementSetting* setting = nullptr;
   std::size_t frames = 0, unclean = 0, dirty_inputs = 0, changed = 0;
   RefinedMesh refined;
-  const auto begin = [&](const cli::RefinementSetting& s) {
+  const auto begin = [&](const evaluation::RefinementSetting& s) {
     setting = &s;
     refiner.emplace(s.coarse, s.subdivision, s.shapes);
   };
-  cli::visit_refinement_inputs(options, begin, [&](const cli::RefinementInput& input) {
+  evaluation::visit_refinement_inputs(options, begin, [&](const evaluation::RefinementInput& input) {
     Positions fine = input.fine;
     if (noise > 0) fine += Positions::NullaryExpr(fine.rows(), 3, [&] { return normal(random); });
     refiner->refine(input.coarse, fine, input.obstacles, refined);
@@ -49,7 +49,7 @@ int run(const cli::BenchOptions& options, float noise) {
 
 int main(int argc, char** argv) {
   CLI::App app("refined frames before CGAL");
-  cli::BenchOptions options;
+  evaluation::BenchOptions options;
   app.add_option("--dataset", options.dataset, "folder of a data set, for its test frames");
   app.add_option("--models", options.models, "folder of the model bundles");
   app.add_option("--model", options.model, "bundle that enhances the data set's frames");

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/base/statistics.hpp"
 #include "common/mesh/connectivity.hpp"
-#include "services/cli/median.hpp"
-#include "services/cli/scene_file.hpp"
+#include "services/presentation/input/scene_file.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "services/simulation/simulation.hpp"
 
@@ -60,7 +60,7 @@ double mean_stretch(const Positions& x, const Positions& rest, const std::vector
 
 int measure(const std::string& file, const std::vector<int>& steps, int converged_steps, int frames, int runs,
             int threads) {
-  Scene scene = pleat::simulation::scene_from_message(pleat::cli::read_scene_file(file));
+  Scene scene = pleat::simulation::scene_from_message(pleat::presentation::read_scene_file(file));
   scene.threads = threads;
   pleat::Topology garment = scene.garment;
   garment.rest_positions *= static_cast<float>(scene.transform.scale);
@@ -69,8 +69,7 @@ int measure(const std::string& file, const std::vector<int>& steps, int converge
   const Run converged = simulate(scene, converged_steps, frames);
   std::printf("%s: %ld vertices, %d frames of %g ms, %d run(s) each; converged: %d steps a frame, %.2f ms, %llu cut\n",
               file.c_str(), static_cast<long>(garment.vertex_count()), frames, 1e3 * scene.frame_time_s, runs,
-              converged_steps, pleat::cli::median(converged.frame_ms),
-              static_cast<unsigned long long>(converged.cut_steps));
+              converged_steps, pleat::median(converged.frame_ms), static_cast<unsigned long long>(converged.cut_steps));
   // Two looks at the error: half way and at the end (frames 20 and 40 by default).
   const int looks[] = {frames / 2, frames};
   std::printf("%6s %10s %10s %13s %13s %15s %15s %8s %8s\n", "steps", "median ms", "p95 ms",
@@ -92,8 +91,8 @@ int measure(const std::string& file, const std::vector<int>& steps, int converge
       const double expected = mean_stretch(truth, garment.rest_positions, edges);
       stretch[k] = 100 * (mean_stretch(mine, garment.rest_positions, edges) - expected) / expected;
     }
-    std::printf("%6d %10.2f %10.2f %13.2f %13.2f %15.3f %15.3f %8llu %8llu\n", n, pleat::cli::median(ms),
-                pleat::cli::quantile(ms, 0.95), rms[0], rms[1], stretch[0], stretch[1],
+    std::printf("%6d %10.2f %10.2f %13.2f %13.2f %15.3f %15.3f %8llu %8llu\n", n, pleat::median(ms),
+                pleat::quantile(ms, 0.95), rms[0], rms[1], stretch[0], stretch[1],
                 static_cast<unsigned long long>(run.impacts), static_cast<unsigned long long>(run.cut_steps));
     std::fflush(stdout);
   }

@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "services/cli/median.hpp"
-#include "services/cli/scene_file.hpp"
+#include "common/base/statistics.hpp"
+#include "services/presentation/input/scene_file.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "services/simulation/simulation.hpp"
 
@@ -32,7 +32,7 @@ void measure(pleat::simulation::Scene scene, const char* name, Mode mode, int fi
     cuts += frame.report.cut_steps;
   }
   const auto n = static_cast<double>(frames);
-  using pleat::cli::median;
+  using pleat::median;
   std::printf("%-8s %9.2f %9.2f %9.2f %9.2f %9.2f %9.1f %9.0f %9.1f %5llu\n", name, median(coarse), median(fine),
               median(assembly), median(solve), median(contact), static_cast<double>(iterations) / n,
               static_cast<double>(contacts) / n, static_cast<double>(impacts) / n,
@@ -54,7 +54,8 @@ int main(int argc, char** argv) {
   app.add_option("--threads", threads, "0: the processors this process may use")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   try {
-    pleat::simulation::Scene scene = pleat::simulation::scene_from_message(pleat::cli::read_scene_file(scene_file));
+    pleat::simulation::Scene scene =
+        pleat::simulation::scene_from_message(pleat::presentation::read_scene_file(scene_file));
     scene.threads = threads;
     if (steps > 0) scene.steps_per_frame = steps;
     std::printf("%-8s %9s %9s %9s %9s %9s %9s %9s %9s %5s\n", "mode", "coarse", "fine", "assembly", "solve", "contact",

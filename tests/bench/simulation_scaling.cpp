@@ -8,17 +8,17 @@
 #include <string>
 #include <vector>
 
+#include "common/base/machine.hpp"
+#include "common/base/statistics.hpp"
 #include "common/mesh/subdivision.hpp"
-#include "services/cli/machine.hpp"
-#include "services/cli/median.hpp"
-#include "services/cli/scene_file.hpp"
+#include "services/presentation/input/scene_file.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "services/simulation/simulation.hpp"
 
 namespace {
 
 using nlohmann::json;
-using pleat::cli::median;
+using pleat::median;
 using pleat::simulation::Scene;
 
 struct Cost {
@@ -87,7 +87,7 @@ int main(int argc, char** argv) {
   app.add_option("--json", json_file, "writes the figures to this file");
   CLI11_PARSE(app, argc, argv);
   try {
-    Scene scene = pleat::simulation::scene_from_message(pleat::cli::read_scene_file(scene_file));
+    Scene scene = pleat::simulation::scene_from_message(pleat::presentation::read_scene_file(scene_file));
     scene.threads = threads;
     const pleat::Topology garment = scene.garment;
     std::printf("%9s %18s %10s %10s %10s %14s\n", "vertices", "frame ms", "assembly", "solve", "contact", "its a step");
@@ -113,8 +113,8 @@ int main(int argc, char** argv) {
     if (!json_file.empty()) {
       std::ofstream(json_file) << json{{"rows", rows},
                                        {"exponent", exponent(costs)},
-                                       {"machine", pleat::cli::machine_info()},
-                                       {"git_revision", pleat::cli::git_revision()}}
+                                       {"machine", pleat::machine_info()},
+                                       {"git_revision", pleat::git_revision()}}
                                       .dump(2)
                                << "\n";
     }

@@ -12,10 +12,10 @@
 #include <string>
 #include <vector>
 
+#include "common/base/machine.hpp"
+#include "common/base/statistics.hpp"
 #include "common/mesh/subdivision.hpp"
-#include "services/cli/machine.hpp"
-#include "services/cli/median.hpp"
-#include "services/cli/scene_file.hpp"
+#include "services/presentation/input/scene_file.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "services/simulation/simulation.hpp"
 #include "tests/bench/rivals/block_descent.hpp"
@@ -152,7 +152,7 @@ json measure(const Scene& scene, bool contact, int frames, int contact_steps, bo
       const bool converged = &candidate == &family.front();
       if (converged) own_truth = run;
       if (engine_truth.frame_ms.empty()) engine_truth = run;
-      const double ms = pleat::cli::median(run.frame_ms);
+      const double ms = pleat::median(run.frame_ms);
       const double own_middle = rms_mm(run.middle, own_truth.middle), own_last = rms_mm(run.last, own_truth.last),
                    engine_middle = rms_mm(run.middle, engine_truth.middle),
                    engine_last = rms_mm(run.last, engine_truth.last);
@@ -200,7 +200,7 @@ int main(int argc, char** argv) {
   app.add_option("--json", json_file, "writes the rows to this file");
   CLI11_PARSE(app, argc, argv);
   try {
-    Scene scene = pleat::simulation::scene_from_message(pleat::cli::read_scene_file(scene_file));
+    Scene scene = pleat::simulation::scene_from_message(pleat::presentation::read_scene_file(scene_file));
     scene.threads = 1;
     scene.garment = pleat::subdivide(scene.garment, rounds).fine;
     std::printf("%s: %ld vertices, %d frames of %g ms\n", scene_file.c_str(),
@@ -216,8 +216,8 @@ int main(int argc, char** argv) {
                                        {"vertices", scene.garment.vertex_count()},
                                        {"frames", frames},
                                        {"rows", rows},
-                                       {"machine", pleat::cli::machine_info()},
-                                       {"git_revision", pleat::cli::git_revision()}}
+                                       {"machine", pleat::machine_info()},
+                                       {"git_revision", pleat::git_revision()}}
                                       .dump(2)
                                << "\n";
     }

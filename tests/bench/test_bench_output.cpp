@@ -5,10 +5,10 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "tests/support/executable.hpp"
 #include "tests/support/temporary_folder.hpp"
-#include "tests/unit/services/cli/executable.hpp"
 
-namespace pleat::cli::test {
+namespace pleat::test {
 namespace {
 
 using nlohmann::json;
@@ -56,4 +56,4 @@ TEST(BenchOutput, Refinement) {
 }
 
 }  // namespace
-}  // namespace pleat::cli::test
+}  // namespace pleat::test

@@ -55,8 +55,8 @@ ServiceProcesses::ServiceProcesses() : executables_(environment_path("PLEAT_BINA
 void ServiceProcesses::start(const std::string& service) {
   const bool coordinator = health_name(service) == "pleat.v1.Coordinator";
   running_.insert_or_assign(service,
-                            cli::ChildProcess(executables_ / (coordinator ? "pleat-coordinator" : "pleat-" + service),
-                                              arguments_.at(service), folder_.path() / (service + ".log")));
+                            ChildProcess(executables_ / (coordinator ? "pleat-coordinator" : "pleat-" + service),
+                                         arguments_.at(service), folder_.path() / (service + ".log")));
 }
 
 void ServiceProcesses::wait_until_healthy(const std::string& service) {
@@ -113,7 +113,7 @@ int ServiceProcesses::connections(const std::string& service) const {
 }
 
 std::string ServiceProcesses::log(const std::string& service) const {
-  return cli::last_lines(folder_.path() / (service + ".log"), 5);
+  return last_lines(folder_.path() / (service + ".log"), 5);
 }
 
 }  // namespace pleat::testing

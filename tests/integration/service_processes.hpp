@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "common/base/process.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
-#include "services/cli/process.hpp"
 
 namespace pleat::testing {
 
@@ -40,10 +40,10 @@ class ServiceProcesses {
   const std::filesystem::path& folder() const { return folder_.path(); }
 
  private:
-  cli::PrivateFolder folder_;
+  PrivateFolder folder_;
   std::filesystem::path executables_;
   std::map<std::string, std::vector<std::string>> arguments_;
-  std::map<std::string, cli::ChildProcess> running_;
+  std::map<std::string, ChildProcess> running_;
 };
 
 }  // namespace pleat::testing

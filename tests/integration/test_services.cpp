@@ -10,7 +10,7 @@
 #include "common/frame/messages.hpp"
 #include "common/rpc/channel.hpp"
 #include "common/store/result.hpp"
-#include "services/cli/scene_file.hpp"
+#include "services/presentation/input/scene_file.hpp"
 #include "tests/integration/service_processes.hpp"
 
 namespace pleat::testing {
@@ -24,7 +24,7 @@ class ServicesTest : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
     processes_ = std::make_unique<ServiceProcesses>();
-    scene_ = cli::read_scene_file("deploy/scenes/draping.json");
+    scene_ = presentation::read_scene_file("deploy/scenes/draping.json");
     stub_ = processes_->client();
   }
   static void TearDownTestSuite() {

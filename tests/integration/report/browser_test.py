@@ -17,7 +17,7 @@ import zlib
 SOURCE = pathlib.Path(sys.argv[1])
 FIXTURE = sys.argv[2]
 FRAMES = 30
-sys.path.insert(0, str(SOURCE / "services/cli/viewer"))
+sys.path.insert(0, str(SOURCE / "services/presentation/viewer"))
 
 from browser import Browser, find_programs  # noqa: E402
 

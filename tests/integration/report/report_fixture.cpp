@@ -10,7 +10,7 @@
 #include "common/mesh/obj.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/result.hpp"
-#include "services/cli/report/report.hpp"
+#include "services/presentation/report/report.hpp"
 
 namespace {
 

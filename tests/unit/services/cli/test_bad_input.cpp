@@ -6,10 +6,10 @@
 #include <fstream>
 #include <functional>
 
+#include "tests/support/executable.hpp"
 #include "tests/support/temporary_folder.hpp"
-#include "tests/unit/services/cli/executable.hpp"
 
-namespace pleat::cli::test {
+namespace pleat::test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -231,4 +231,4 @@ TEST(GoodUsage, HelpAndVersionGoToStandardOutput) {
 }
 
 }  // namespace
-}  // namespace pleat::cli::test
+}  // namespace pleat::test

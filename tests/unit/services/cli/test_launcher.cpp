@@ -10,10 +10,10 @@
 #include <fstream>
 #include <thread>
 
+#include "tests/support/executable.hpp"
 #include "tests/support/temporary_folder.hpp"
-#include "tests/unit/services/cli/executable.hpp"
 
-namespace pleat::cli::test {
+namespace pleat::test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -170,4 +170,4 @@ TEST_F(LauncherTest, FindsAFreePort) {
 }
 
 }  // namespace
-}  // namespace pleat::cli::test
+}  // namespace pleat::test

@@ -11,10 +11,10 @@
 #include <sstream>
 #include <thread>
 
+#include "common/base/process.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/channel.hpp"
 #include "common/rpc/stream.hpp"
-#include "services/cli/process.hpp"
 #include "services/superres/bundle.hpp"
 #include "services/superres/network.hpp"
 
@@ -88,10 +88,10 @@ class ReplacedBundle : public testing::Test {
     return text.str();
   }
 
-  cli::PrivateFolder folder_;
+  PrivateFolder folder_;
   const fs::path models_ = folder_.path() / "models", log_ = folder_.path() / "log.txt";
   const std::string address_ = "unix:" + (folder_.path() / "superres.sock").string();
-  std::optional<cli::ChildProcess> process_;
+  std::optional<ChildProcess> process_;
   std::unique_ptr<v1::SuperResolution::Stub> stub_;
 };
 

@@ -1,0 +1,176 @@
+#include "common/base/process.hpp"
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/prctl.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <csignal>
+#include <cstdlib>
+#include <cstring>
+#include <ctime>
+#include <fstream>
+#include <thread>
+#include <utility>
+
+#include "common/base/error.hpp"
+
+namespace pleat {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::chrono::milliseconds kPoll{5};
+constexpr int kExecFailed = 127;
+/// A folder younger than this may belong to a process that has not locked it yet.
+constexpr std::time_t kStaleAfterSeconds = 10;
+
+fs::path runtime_folder() {
+  const char* runtime = std::getenv("XDG_RUNTIME_DIR");
+  // sun_path holds 108 bytes, of which our own names need about 40.
+  if (runtime != nullptr && std::strlen(runtime) > 0 && std::strlen(runtime) < 60 && ::access(runtime, W_OK) == 0)
+    return runtime;
+  return "/tmp";
+}
+
+void remove_stale_folders(const fs::path& base) {
+  std::error_code ignored;
+  for (const fs::directory_entry& entry : fs::directory_iterator(base, ignored)) {
+    if (!entry.path().filename().string().starts_with("pleat-")) continue;
+    struct stat status {};
+    if (::lstat(entry.path().c_str(), &status) != 0 || !S_ISDIR(status.st_mode) || status.st_uid != ::getuid() ||
+        std::time(nullptr) - status.st_mtime < kStaleAfterSeconds)
+      continue;
+    const int lock = ::open((entry.path() / "lock").c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW);
+    if (lock < 0) continue;
+    if (::flock(lock, LOCK_EX | LOCK_NB) == 0) fs::remove_all(entry.path(), ignored);
+    ::close(lock);
+  }
+}
+
+}  // namespace
+
+ChildProcess::ChildProcess(const fs::path& program, const std::vector<std::string>& arguments, const fs::path& log) {
+  if (::access(program.c_str(), X_OK) != 0) throw_not_found(program.string() + ": no such executable");
+  const int output = ::open(log.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+  if (output < 0) throw_invalid_argument(log.string() + ": can't be opened: " + std::strerror(errno));
+  const std::string program_text = program.string();
+  std::vector<char*> argv{const_cast<char*>(program_text.c_str())};
+  for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
+  argv.push_back(nullptr);
+  sigset_t none;
+  ::sigemptyset(&none);
+  const pid_t parent = ::getpid();
+
+  pid_ = ::fork();
+  if (pid_ == 0) {
+    // Other threads may have held locks at the fork: only async-signal-safe calls until exec.
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+    if (::getppid() != parent) ::_exit(kExecFailed);
+    ::setpgid(0, 0);
+    ::sigprocmask(SIG_SETMASK, &none, nullptr);
+    struct sigaction standard {};
+    standard.sa_handler = SIG_DFL;
+    for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) ::sigaction(number, &standard, nullptr);
+    const int input = ::open("/dev/null", O_RDONLY);
+    if (input >= 0) ::dup2(input, STDIN_FILENO);
+    ::dup2(output, STDOUT_FILENO);
+    ::dup2(output, STDERR_FILENO);
+    ::execv(argv[0], argv.data());
+    ::_exit(kExecFailed);
+  }
+  const int fork_error = errno;
+  ::close(output);
+  if (pid_ < 0)
+    throw Error(ErrorCode::kResourceExhausted, program_text + ": can't be started: " + std::strerror(fork_error));
+  running_ = true;
+}
+
+ChildProcess::~ChildProcess() {
+  if (!running()) return;
+  send(SIGKILL);
+  ::waitpid(pid_, nullptr, 0);
+}
+
+ChildProcess::ChildProcess(ChildProcess&& other) noexcept
+    : pid_(other.pid_), running_(std::exchange(other.running_, false)), end_reason_(std::move(other.end_reason_)) {}
+
+ChildProcess& ChildProcess::operator=(ChildProcess&& other) noexcept {
+  // The child that was ours ends with `other`.
+  std::swap(pid_, other.pid_);
+  std::swap(running_, other.running_);
+  std::swap(end_reason_, other.end_reason_);
+  return *this;
+}
+
+bool ChildProcess::running() {
+  if (!running_) return false;
+  int status = 0;
+  const pid_t ended = ::waitpid(pid_, &status, WNOHANG);
+  if (ended == 0) return true;
+  running_ = false;
+  if (ended < 0)
+    end_reason_ = "unknown reason";
+  else if (WIFSIGNALED(status))
+    end_reason_ = "signal " + std::to_string(WTERMSIG(status));
+  else
+    end_reason_ = "exit code " + std::to_string(WEXITSTATUS(status));
+  return false;
+}
+
+void ChildProcess::send(int signal_number) {
+  if (running_) ::kill(pid_, signal_number);
+}
+
+bool ChildProcess::wait_until(std::chrono::steady_clock::time_point deadline) {
+  while (running()) {
+    if (std::chrono::steady_clock::now() >= deadline) return false;
+    std::this_thread::sleep_for(kPoll);
+  }
+  return true;
+}
+
+PrivateFolder::PrivateFolder() {
+  const fs::path base = runtime_folder();
+  remove_stale_folders(base);
+  std::string name = (base / "pleat-XXXXXX").string();
+  if (::mkdtemp(name.data()) == nullptr)
+    throw Error(ErrorCode::kResourceExhausted, name + ": can't be made: " + std::strerror(errno));
+  path_ = name;
+  lock_ = ::open((path_ / "lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+  if (lock_ >= 0) ::flock(lock_, LOCK_EX | LOCK_NB);
+}
+
+PrivateFolder::~PrivateFolder() {
+  std::error_code ignored;
+  fs::remove_all(path_, ignored);
+  if (lock_ >= 0) ::close(lock_);
+}
+
+fs::path executable_folder() {
+  std::error_code failed;
+  const fs::path self = fs::read_symlink("/proc/self/exe", failed);
+  return failed ? fs::current_path() : self.parent_path();
+}
+
+std::string last_lines(const fs::path& file, std::size_t count) {
+  std::ifstream stream(file, std::ios::binary);
+  if (!stream) return {};
+  constexpr std::streamoff kTail = 8192;
+  stream.seekg(0, std::ios::end);
+  const std::streamoff size = stream.tellg();
+  stream.seekg(std::max<std::streamoff>(0, size - kTail));
+  std::vector<std::string> lines;
+  for (std::string line; std::getline(stream, line);)
+    if (!line.empty()) lines.push_back(line);
+  std::string joined;
+  for (std::size_t i = lines.size() > count ? lines.size() - count : 0; i < lines.size(); ++i)
+    joined += (joined.empty() ? "" : " | ") + lines[i];
+  return joined;
+}
+
+}  // namespace pleat

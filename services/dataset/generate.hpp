@@ -1,0 +1,34 @@
+// Makes paired data sets: one process per sequence, resumable, with progress.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <string>
+
+#include "services/dataset/scenes.hpp"
+
+namespace pleat::dataset {
+
+struct Progress {
+  std::uint64_t frames_done = 0;  ///< over all sequences, those of earlier runs included
+  std::uint64_t frames = 0;
+  double elapsed_s = 0;
+  double left_s = 0;         ///< estimated from this run's speed; 0 until a frame is done
+  std::string message = {};  ///< a line for people when a sequence begins or ends; otherwise empty
+};
+
+struct GenerateOptions {
+  std::filesystem::path folder;
+  SceneOptions scenes;
+  int workers = 0;       ///< processes; 0: the processors this process may use
+  bool deflate = true;   ///< compress finished sequences
+  double margin = 0.02;  ///< the normalisation's range is wider than the training split by this share on each side
+  std::string git_revision;
+};
+
+/// Makes what is missing of the data set, then writes its master file. Frames that exist are kept; a data set that was
+/// begun with other scenes is refused with kFailedPrecondition. Forks: call it before other threads exist. If sequences
+/// fail, the others are made all the same and the first failure is thrown.
+void generate(const GenerateOptions& options, const std::function<void(const Progress&)>& progress);
+
+}  // namespace pleat::dataset

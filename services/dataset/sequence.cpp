@@ -1,0 +1,113 @@
+#include "services/dataset/sequence.hpp"
+
+#include <algorithm>
+#include <fstream>
+#include <iterator>
+#include <vector>
+
+#include "common/base/error.hpp"
+#include "common/store/dataset.hpp"
+#include "services/simulation/simulation.hpp"
+
+namespace pleat::dataset {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::uint64_t kCheckpointInterval = 20;
+
+fs::path sequence_file(const fs::path& folder, const std::string& name) {
+  return folder / "sequences" / (name + ".h5");
+}
+
+fs::path checkpoint_file(const fs::path& folder, const std::string& name) {
+  return folder / "sequences" / (name + ".checkpoint");
+}
+
+simulation::Mode mode_of(const SequencePlan& plan) {
+  return plan.tracked ? simulation::Mode::kTrackedFine : simulation::Mode::kFreeFine;
+}
+
+void save_checkpoint(const fs::path& path, const simulation::Simulation& simulation) {
+  const std::vector<std::byte> bytes = simulation.checkpoint();
+  const fs::path partial = path.string() + ".partial";
+  std::ofstream stream(partial, std::ios::binary);
+  stream.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+  stream.close();
+  if (!stream) throw Error(ErrorCode::kResourceExhausted, partial.string() + ": can't be written, is the disk full?");
+  fs::rename(partial, path);
+}
+
+/// Restores the check-point if there is one that helps: not beyond the recorded frames, and of this very scene.
+void restore_checkpoint(const fs::path& path, std::uint64_t frames_complete, const SequencePlan& plan,
+                        simulation::Simulation& simulation) {
+  std::ifstream stream(path, std::ios::binary);
+  if (!stream) return;
+  const std::vector<char> text((std::istreambuf_iterator<char>(stream)), {});
+  std::vector<std::byte> bytes(text.size());
+  std::transform(text.begin(), text.end(), bytes.begin(), [](char c) { return static_cast<std::byte>(c); });
+  try {
+    simulation.restore(bytes);
+    if (simulation.next_index() <= frames_complete) return;
+  } catch (const Error&) {
+    // Of another scene or damaged: the frames are simulated again, which gives the same bits.
+  }
+  simulation = simulation::Simulation(plan.scene, mode_of(plan));
+}
+
+}  // namespace
+
+bool is_finished(const fs::path& folder, const std::string& name) {
+  std::error_code error;
+  return fs::exists(sequence_file(folder, name), error);
+}
+
+SequenceReport make_sequence(const fs::path& folder, const SequencePlan& plan, bool deflate,
+                             const std::function<void(std::uint64_t)>& on_frame) {
+  simulation::Simulation simulation(plan.scene, mode_of(plan));
+  SequenceOptions options;
+  options.name = plan.name;
+  options.split = plan.split;
+  options.scene = plan.scene_json;
+  options.frames = static_cast<std::uint64_t>(plan.scene.frames);
+  options.coarse_vertices = simulation.coarse().vertex_count();
+  options.fine_vertices = simulation.fine().vertex_count();
+  options.topology_hash = topology_hash(simulation.fine());
+  options.obstacles = simulation.obstacle_shapes();
+  for (const simulation::Obstacle& obstacle : plan.scene.obstacles) {
+    options.obstacle_vertices.push_back(obstacle.mesh.vertex_count());
+  }
+  options.deflate = deflate;
+  SequenceWriter writer(folder, options);
+  const fs::path checkpoint = checkpoint_file(folder, plan.name);
+  restore_checkpoint(checkpoint, writer.frames_complete(), plan, simulation);
+
+  SequenceReport report;
+  std::uint64_t simulated = 0;
+  while (writer.frames_complete() < options.frames) {
+    simulation::SimulatedFrame frame = simulation.next_frame();
+    report.coarse_ms += frame.times.coarse_ms;
+    report.fine_ms += frame.times.fine_ms;
+    report.cut_steps += frame.report.cut_steps;
+    ++simulated;
+    if (frame.coarse.index < writer.frames_complete()) continue;
+    SequenceFrame record;
+    record.time_s = frame.coarse.time_s;
+    record.coarse = std::move(frame.coarse.positions);
+    record.fine = std::move(frame.fine->positions);
+    record.obstacles = std::move(frame.obstacles);
+    writer.append(record);
+    on_frame(writer.frames_complete());
+    if (writer.frames_complete() % kCheckpointInterval == 0) save_checkpoint(checkpoint, simulation);
+  }
+  if (simulated > 0) {
+    report.coarse_ms /= static_cast<double>(simulated);
+    report.fine_ms /= static_cast<double>(simulated);
+  }
+  writer.finish();
+  std::error_code error;
+  fs::remove(checkpoint, error);
+  return report;
+}
+
+}  // namespace pleat::dataset

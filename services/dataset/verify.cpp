@@ -1,0 +1,198 @@
+#include "services/dataset/verify.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "common/base/error.hpp"
+#include "common/mesh/mesh.hpp"
+#include "common/store/dataset.hpp"
+#include "services/dataset/normalization.hpp"
+#include "services/refinement/judge.hpp"
+
+namespace pleat::dataset {
+namespace {
+
+constexpr std::size_t kMaxProblems = 50;
+
+std::string mesh_line(const std::string& name, const Topology& topology) {
+  return name + " mesh: " + std::to_string(topology.vertex_count()) + " vertices, " +
+         std::to_string(topology.face_count()) + " faces, hash " + topology_hash(topology);
+}
+
+class Verifier {
+ public:
+  Verifier(const std::filesystem::path& folder, const VerifyOptions& options)
+      : reader_(folder), options_(options), meshes_(reader_.topology()) {}
+
+  VerifyReport run(const std::function<void(const std::string&)>& on_sequence) {
+    check_master();
+    std::map<std::string, SequenceInfo> present;
+    try {
+      for (SequenceInfo& info : reader_.sequences()) present[info.name] = std::move(info);
+    } catch (const Error& error) {
+      problem(error.what());
+      return report_;
+    }
+    for (const std::string& name : reader_.master().sequences) {
+      const auto found = present.find(name);
+      if (found == present.end()) {
+        problem(name + ": not made yet");
+        continue;
+      }
+      const std::size_t before = report_.problems.size();
+      try {
+        check_sequence(found->second);
+      } catch (const Error& error) {
+        problem(error.what());
+      }
+      ++report_.sequences;
+      on_sequence(name + " (" + found->second.split + "): " + std::to_string(found->second.frames_complete) +
+                  " frames, " + std::to_string(report_.problems.size() - before) + " problems");
+    }
+    if (distances_ > 0) report_.feature_distance_mean_m = distance_sum_ / static_cast<double>(distances_);
+    check_normalization();
+    return report_;
+  }
+
+ private:
+  void problem(const std::string& text) {
+    if (report_.problems.size() < kMaxProblems) report_.problems.push_back(text);
+  }
+
+  void check_master() {
+    const DatasetMaster& master = reader_.master();
+    if (!(master.frame_time_s > 0) || !(master.time_step_s > 0)) problem("dataset.h5: times are not positive");
+    if (master.sequences.empty()) problem("dataset.h5: no sequences");
+    for (std::size_t i = 0; i < meshes_.feature_vertices.size(); ++i) {
+      const auto fine = static_cast<Eigen::Index>(meshes_.feature_vertices[i]);
+      if (meshes_.fine.rest_positions.row(fine) != meshes_.coarse.rest_positions.row(static_cast<Eigen::Index>(i))) {
+        problem("dataset.h5: feature vertex " + std::to_string(i) + " is not its coarse vertex at rest");
+        break;
+      }
+    }
+  }
+
+  void check_sequence(const SequenceInfo& info) {
+    if (!info.finished || info.frames_complete != info.frames) {
+      problem(info.name + ": " + std::to_string(info.frames_complete) + " of " + std::to_string(info.frames) +
+              " frames");
+    }
+    if (info.split != "train" && info.split != "test") problem(info.name + ": split is '" + info.split + "'");
+    if (info.topology_hash != topology_hash(meshes_.fine)) {
+      problem(info.name + ": made for mesh " + info.topology_hash);
+      return;
+    }
+    const Eigen::RowVector3f size = meshes_.coarse.rest_positions.colwise().maxCoeff().array() -
+                                    meshes_.coarse.rest_positions.colwise().minCoeff().array();
+    const double limit = 0.2 * static_cast<double>(size.norm());
+    for (std::uint64_t k = 0; k < info.frames_complete; ++k) {
+      const std::string where = info.name + ", frame " + std::to_string(k);
+      const Positions coarse = reader_.coarse(info.name, k, k + 1).front();
+      const Positions fine = reader_.fine(info.name, k, k + 1).front();
+      const double time = reader_.times(info.name, k, k + 1).front();
+      ++report_.frames;
+      if (std::abs(time - static_cast<double>(k) * reader_.master().frame_time_s) > 1e-6) {
+        problem(where + ": time " + std::to_string(time));
+      }
+      if (!coarse.allFinite() || !fine.allFinite()) {
+        problem(where + ": a position is not finite");
+        continue;
+      }
+      double largest = 0;
+      for (std::size_t i = 0; i < meshes_.feature_vertices.size(); ++i) {
+        const double distance = (fine.row(static_cast<Eigen::Index>(meshes_.feature_vertices[i])) -
+                                 coarse.row(static_cast<Eigen::Index>(i)))
+                                    .norm();
+        largest = std::max(largest, distance);
+        distance_sum_ += distance;
+        ++distances_;
+      }
+      report_.feature_distance_max_m = std::max(report_.feature_distance_max_m, largest);
+      if (reader_.master().tracked && largest > limit)
+        problem(where + ": a feature vertex is " + std::to_string(largest) + " m off");
+      if (k % options_.stride == 0) judge(info, k, where, coarse, fine);
+    }
+  }
+
+  void judge(const SequenceInfo& info, std::uint64_t k, const std::string& where, const Positions& coarse,
+             const Positions& fine) {
+    ++report_.frames_judged;
+    const std::vector<ObstacleFrame> obstacles = reader_.obstacles(info.name, k, k + 1).front();
+    const auto count = [&](const char* which, const Positions& positions, const Faces& faces) {
+      const std::size_t crossings = count_self_intersections(positions, faces);
+      const std::size_t inside = count_penetrations(positions, faces, info.obstacles, obstacles);
+      report_.self_intersections += crossings;
+      report_.penetrations += inside;
+      if (crossings > 0)
+        problem(where + ": " + which + " mesh has " + std::to_string(crossings) + " self-intersections");
+      if (inside > 0) problem(where + ": " + which + " mesh has " + std::to_string(inside) + " penetrations");
+    };
+    count("coarse", coarse, meshes_.coarse.faces);
+    count("fine", fine, meshes_.fine.faces);
+  }
+
+  void check_normalization() {
+    const auto& normalization = reader_.master().normalization;
+    if (!normalization) {
+      problem("dataset.h5: no normalisation");
+      return;
+    }
+    if (report_.frames == 0) return;
+    try {
+      const FeatureRange range = measure_range(reader_, 0);
+      for (std::size_t c = 0; c < range.minimum.size(); ++c) {
+        if (range.minimum[c] < normalization->minimum[c] || range.maximum[c] > normalization->maximum[c]) {
+          problem("dataset.h5: the normalisation does not cover channel " + std::to_string(c) +
+                  " of the training split");
+        }
+      }
+    } catch (const Error& error) {
+      problem(error.what());
+    }
+  }
+
+  DatasetReader reader_;
+  VerifyOptions options_;
+  const MeshPair& meshes_;
+  VerifyReport report_;
+  double distance_sum_ = 0;
+  std::uint64_t distances_ = 0;
+};
+
+}  // namespace
+
+std::vector<std::string> describe(const std::filesystem::path& folder) {
+  const DatasetReader reader(folder);
+  const DatasetMaster& master = reader.master();
+  std::vector<std::string> lines = {mesh_line("coarse", master.topology.coarse),
+                                    mesh_line("fine", master.topology.fine),
+                                    "frame time " + std::to_string(master.frame_time_s) + " s, time step " +
+                                        std::to_string(master.time_step_s) + " s",
+                                    "seed " + std::to_string(master.seed) + ", git revision " + master.git_revision,
+                                    std::string("normalisation ") + (master.normalization ? "present" : "absent")};
+  std::map<std::string, std::pair<std::uint64_t, std::uint64_t>> splits;
+  const std::vector<SequenceInfo> sequences = reader.sequences();
+  for (const SequenceInfo& info : sequences) {
+    ++splits[info.split].first;
+    splits[info.split].second += info.frames_complete;
+    lines.push_back(info.name + ": " + info.split + ", " + std::to_string(info.frames_complete) + " of " +
+                    std::to_string(info.frames) + " frames" + (info.finished ? "" : ", not finished"));
+  }
+  for (const auto& [split, counts] : splits) {
+    lines.push_back("split " + split + ": " + std::to_string(counts.first) + " sequences, " +
+                    std::to_string(counts.second) + " frames");
+  }
+  if (sequences.size() < master.sequences.size()) {
+    lines.push_back(std::to_string(master.sequences.size() - sequences.size()) + " sequences are not begun");
+  }
+  return lines;
+}
+
+VerifyReport verify(const std::filesystem::path& folder, const VerifyOptions& options,
+                    const std::function<void(const std::string&)>& on_sequence) {
+  if (options.stride == 0) throw_invalid_argument("stride: at least 1");
+  return Verifier(folder, options).run(on_sequence);
+}
+
+}  // namespace pleat::dataset

@@ -1,0 +1,171 @@
+// Benchmarks that need processes: the network, and the whole pipeline.
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <random>
+#include <thread>
+
+#include "common/base/signals.hpp"
+#include "common/base/statistics.hpp"
+#include "common/frame/messages.hpp"
+#include "common/rpc/status.hpp"
+#include "services/cli/enhance_session.hpp"
+#include "services/cli/job_watcher.hpp"
+#include "services/cli/launcher/launcher.hpp"
+#include "services/evaluation/bench.hpp"
+#include "services/evaluation/superres_process.hpp"
+#include "services/presentation/input/scene_file.hpp"
+#include "services/simulation/scene_messages.hpp"
+#include "services/simulation/simulation.hpp"
+
+namespace pleat::evaluation {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+constexpr std::chrono::seconds kCallTimeout{10};
+constexpr std::size_t kWarmUp = 3;
+
+std::filesystem::path log_file(const BenchOptions& options, const std::string& precision) {
+  return options.out / "logs" / ("superres-" + precision + ".log");
+}
+
+/// Milliseconds of each inference of random images of the bundle's size, as the service measures them.
+std::vector<double> infer(SuperresProcess& service, const std::string& model, std::size_t runs,
+                          std::string* precision) {
+  const auto stream = service.stream();
+  v1::UpscaleRequest request;
+  request.mutable_open()->set_model(model);
+  request.mutable_open()->set_window(1);
+  const v1::ModelDescription opened = stream->open(request);
+  *precision = opened.precision();
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> value(0.3f, 0.7f);
+  v1::Tensor& image = *request.mutable_frame()->mutable_image();
+  for (const std::uint32_t extent : {9u, opened.coarse_height(), opened.coarse_width()}) image.add_shape(extent);
+  *image.mutable_channels() = opened.channels();
+  const auto count = static_cast<int>(9 * opened.coarse_height() * opened.coarse_width());
+  for (int i = 0; i < count; ++i) image.add_values(value(random));
+  *request.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
+  std::vector<double> ms;
+  for (std::size_t r = 0; r < runs + kWarmUp; ++r) {
+    request.mutable_frame()->set_index(r);
+    const v1::ImageFrame frame = upscale(*stream, request);
+    double sum = 0;
+    for (const v1::StageTime& time : frame.stage_times())
+      if (time.stage() == "superres") sum += time.ms();
+    if (r >= kWarmUp) ms.push_back(sum);
+  }
+  return ms;
+}
+
+double frames_per_second(const std::shared_ptr<grpc::Channel>& channel, const std::string& address,
+                         const BenchOptions& options) {
+  const auto stub = v1::Coordinator::NewStub(channel);
+  v1::CreateJobRequest request;
+  *request.mutable_scene() = presentation::read_scene_file(scene_or(options, "draping"));
+  request.set_frames(static_cast<std::uint32_t>(options.frames));
+  v1::Job job;
+  {
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
+    rpc::throw_if_failed(stub->CreateJob(&context, request, &job), "coordinator at " + address);
+  }
+  cli::JobWatcher watcher(channel, address, job.id(), {});
+  while (true) {
+    const auto [latest, over] = watcher.wait(std::chrono::milliseconds(100));
+    if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
+    if (!over) continue;
+    if (latest.state() != v1::Job::STATE_DONE)
+      throw_internal("job " + job.id() + " " + cli::state_name(latest.state()) + ": " + latest.error());
+    return latest.summary().wall_s() > 0 ? latest.frames_complete() / latest.summary().wall_s() : 0;
+  }
+}
+
+}  // namespace
+
+Figures bench_superres(const BenchOptions& options) {
+  Figures figures;
+  std::string precision;
+  {
+    SuperresProcess service(options.models, "auto", log_file(options, "auto"));
+    const std::vector<double> ms = infer(service, service.describe().model(), options.frames, &precision);
+    figures.push_back({"infer", {median(ms), ms.size(), "ms"}});
+  }
+  for (const std::string wanted : {"float32", "bfloat16"}) {
+    std::optional<SuperresProcess> service;
+    try {
+      service.emplace(options.models, wanted, log_file(options, wanted));
+    } catch (const Error& error) {
+      if (error.code() == ErrorCode::kCancelled) throw;
+      std::fprintf(stderr, "%s is left out: %s\n", wanted.c_str(), error.what());
+      continue;
+    }
+    for (const v1::ModelDescription& model : service->models()) {
+      const std::vector<double> ms = infer(*service, model.model(), options.frames, &precision);
+      if (precision != wanted) continue;  // the bundle refuses it
+      figures.push_back({"infer/" + model.model() + "/" + wanted, {median(ms), ms.size(), "ms"}});
+    }
+  }
+  return figures;
+}
+
+Figures bench_pipeline(const BenchOptions& options) {
+  simulation::Scene scene = simulation::scene_from_message(presentation::read_scene_file(scene_or(options, "draping")));
+  scene.frames = static_cast<int>(options.frames);
+  simulation::Simulation simulation(scene, simulation::Mode::kCoarse);
+  std::vector<cli::CoarseInput> inputs;
+  for (std::size_t k = 0; k < options.frames; ++k) {
+    simulation::SimulatedFrame frame = simulation.next_frame();
+    inputs.push_back({std::move(frame.coarse.positions), std::move(frame.obstacles)});
+  }
+  cli::LauncherOptions launch;
+  launch.models = options.models;
+  launch.data = options.out / "services";
+  launch.logs = options.out / "logs";
+  cli::Launcher launcher(launch);
+  const auto channel = rpc::create_channel(launcher.coordinator());
+  const double rate = frames_per_second(channel, launcher.coordinator(), options);
+
+  cli::EnhanceSessionOptions open;
+  open.coarse = simulation.coarse();
+  open.frame_time_s = scene.frame_time_s;
+  open.obstacles = simulation.obstacle_shapes();
+  open.window = 1;
+  open.subdivision_rounds = static_cast<std::uint32_t>(scene.subdivision_rounds);
+  cli::EnhanceSession session(channel, launcher.coordinator(), open);
+  std::vector<double> latency, share;
+  Clock::time_point sent;
+  session.run(
+      inputs.size(),
+      [&](std::uint64_t k) {
+        sent = Clock::now();
+        return inputs[k];
+      },
+      [&](const v1::EnhancedFrame& frame, const cli::CoarseInput&) {
+        const double ms = std::chrono::duration<double, std::milli>(Clock::now() - sent).count();
+        double stages = 0;
+        for (const v1::StageTime& time : frame.stage_times())
+          if (time.stage().find('.') == std::string::npos) stages += time.ms();
+        if (frame.fine().index() < kWarmUp) return;
+        latency.push_back(ms);
+        share.push_back(1 - stages / ms);
+      });
+  launcher.stop();
+  std::error_code ignored;
+  fs::remove_all(options.out / "services", ignored);
+  return {{"frames_per_s", {rate, 1, "1/s"}},
+          {"latency", {median(latency), latency.size(), "ms"}},
+          {"transport_share", {median(share), share.size(), "1"}}};
+}
+
+nlohmann::json to_json(const std::string& name, const Figures& figures) {
+  nlohmann::json json = nlohmann::json::object();
+  json[name] = nlohmann::json::object();
+  for (const auto& [figure, value] : figures)
+    json[name][figure] = {{"median", value.median}, {"runs", value.runs}, {"unit", value.unit}};
+  return json;
+}
+
+}  // namespace pleat::evaluation

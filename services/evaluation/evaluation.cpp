@@ -1,0 +1,193 @@
+#include "services/evaluation/evaluation.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <memory>
+
+#include "common/base/error.hpp"
+#include "common/base/statistics.hpp"
+#include "common/mesh/subdivision.hpp"
+#include "services/refinement/judge.hpp"
+#include "services/superres/zurdo.hpp"
+
+namespace pleat::evaluation {
+namespace {
+
+constexpr int kMaxRounds = 5;
+
+}  // namespace
+
+std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const std::vector<std::string>& names) {
+  std::vector<SequenceInfo> all = dataset.sequences(), chosen;
+  std::erase_if(all, [](const SequenceInfo& info) { return info.frames_complete == 0; });
+  for (const std::string& name : names) {
+    const auto found =
+        std::find_if(all.begin(), all.end(), [&](const SequenceInfo& info) { return info.name == name; });
+    if (found == all.end()) throw_not_found(dataset.folder().string() + ": no sequence '" + name + "' with frames");
+    chosen.push_back(*found);
+  }
+  if (names.empty()) {
+    std::copy_if(all.begin(), all.end(), std::back_inserter(chosen),
+                 [](const SequenceInfo& info) { return info.split == "test"; });
+    if (chosen.empty()) chosen = all;
+  }
+  if (chosen.empty()) throw_not_found(dataset.folder().string() + ": no sequence with frames");
+  return chosen;
+}
+
+int subdivision_rounds(const MeshPair& topology) {
+  Eigen::Index faces = topology.coarse.face_count();
+  for (int rounds = 0; rounds <= kMaxRounds && faces <= topology.fine.face_count(); ++rounds, faces *= 4) {
+    if (faces == topology.fine.face_count() &&
+        topology_hash(subdivide(topology.coarse, rounds).fine) == topology_hash(topology.fine))
+      return rounds;
+  }
+  throw_invalid_argument("the fine mesh of the data set is not the subdivision of its coarse mesh");
+}
+
+Method barycentric_method(const MeshPair& topology) {
+  const auto subdivision = std::make_shared<Subdivision>(subdivide(topology.coarse, subdivision_rounds(topology)));
+  return {"barycentric", [subdivision, faces = topology.coarse.faces](const MethodInput& input, const auto& sink) {
+            for (std::uint64_t k = 0; k < input.frames; ++k)
+              sink(k, MethodFrame{upsample(*subdivision, faces, input.coarse(k)), {}});
+          }};
+}
+
+Method zurdo_method(const DatasetReader& dataset) {
+  const auto wrinkles = std::make_shared<superres::ZurdoWrinkles>(superres::train_zurdo(dataset));
+  return {"zurdo2013", [wrinkles](const MethodInput& input, const auto& sink) {
+            for (std::uint64_t k = 0; k < input.frames; ++k) {
+              const Positions coarse = input.coarse(k);
+              const auto start = std::chrono::steady_clock::now();
+              MethodFrame frame{wrinkles->synthesize(coarse), {}};
+              const std::chrono::duration<double, std::milli> taken = std::chrono::steady_clock::now() - start;
+              frame.ms = {{"examples", taken.count()}};
+              sink(k, frame);
+            }
+          }};
+}
+
+std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vector<Method>& methods,
+                                    const EvaluationOptions& options,
+                                    const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
+  const std::vector<SequenceInfo> sequences = chosen_sequences(dataset, options.sequences);
+  const MeshPair& topology = dataset.topology();
+  std::optional<DisplacementRange> range;
+  if (const auto& normalization = dataset.master().normalization) {
+    range.emplace();
+    for (std::size_t c = 0; c < 3; ++c) {
+      range->minimum[c] = normalization->minimum[c];
+      range->maximum[c] = normalization->maximum[c];
+    }
+  }
+  const auto frames_of = [&options](const SequenceInfo& info) {
+    return options.frames > 0 ? std::min(options.frames, info.frames_complete) : info.frames_complete;
+  };
+  std::uint64_t total = 0, done = 0;
+  for (const SequenceInfo& info : sequences) total += frames_of(info) * methods.size();
+  const std::uint64_t every = std::max<std::uint64_t>(1, options.every);
+
+  std::vector<MethodFigures> figures;
+  for (const Method& method : methods) {
+    MetricsAccumulator metrics(topology.coarse, topology.fine, range);
+    std::vector<std::pair<std::string, std::vector<double>>> times;
+    for (const SequenceInfo& info : sequences) {
+      metrics.begin_sequence();
+      MethodInput input;
+      input.sequence = info.name;
+      input.frames = frames_of(info);
+      input.frame_time_s = dataset.master().frame_time_s;
+      input.obstacle_shapes = info.obstacles;
+      input.coarse = [&](std::uint64_t k) { return std::move(dataset.coarse(info.name, k, k + 1).at(0)); };
+      input.obstacles = [&](std::uint64_t k) { return std::move(dataset.obstacles(info.name, k, k + 1).at(0)); };
+      method.run(input, [&](std::uint64_t k, const MethodFrame& frame) {
+        for (const auto& [stage, ms] : frame.ms) {
+          const auto found =
+              std::find_if(times.begin(), times.end(), [&, &name = stage](const auto& t) { return t.first == name; });
+          if (found == times.end())
+            times.push_back({stage, {ms}});
+          else
+            found->second.push_back(ms);
+        }
+        progress(++done, total);
+        if (k % every != 0) return;
+        const Positions reference = std::move(dataset.fine(info.name, k, k + 1).at(0));
+        const auto obstacles = input.obstacles(k);
+        FrameCounts counts;
+        counts.penetrations = count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles);
+        counts.self_intersections = count_self_intersections(frame.positions, topology.fine.faces);
+        counts.penetrations_before = frame.refined ? frame.penetrations_before : counts.penetrations;
+        counts.self_intersections_before = frame.refined ? frame.self_intersections_before : counts.self_intersections;
+        metrics.add(input.coarse(k), reference, frame.positions, counts);
+      });
+    }
+    MethodFigures result{method.name, metrics.values(), {}};
+    for (auto& [stage, ms] : times) result.median_ms.emplace_back(stage, median(std::move(ms)));
+    figures.push_back(std::move(result));
+  }
+  return figures;
+}
+
+nlohmann::json to_json(const std::vector<MethodFigures>& figures) {
+  nlohmann::json json = nlohmann::json::object();
+  for (const MethodFigures& method : figures) {
+    const MetricValues& m = method.metrics;
+    nlohmann::json& out = json[method.name];
+    out["frames"] = m.frames;
+    out["psnr_db"] = m.psnr_db ? nlohmann::json(*m.psnr_db) : nlohmann::json(nullptr);
+    out["vmse_m2"] = m.vmse_m2;
+    out["rmse_m"] = m.rmse_m;
+    out["rmse_relative"] = m.rmse_relative;
+    out["hausdorff_m"] = m.hausdorff_m;
+    out["normal_angle_deg"] = m.normal_angle_deg;
+    out["stretch"] = m.stretch;
+    out["sted"] = m.sted.combined;
+    out["sted_spatial"] = m.sted.spatial;
+    out["sted_temporal"] = m.sted.temporal;
+    out["jitter"] = m.jitter_m;
+    out["jitter_ratio"] = m.jitter_ratio;
+    out["penetrations"] = m.counts.penetrations;
+    out["penetrations_before"] = m.counts.penetrations_before;
+    out["self_intersections"] = m.counts.self_intersections;
+    out["self_intersections_before"] = m.counts.self_intersections_before;
+    for (const auto& [stage, ms] : method.median_ms) out[stage + "_ms"] = ms;
+  }
+  return json;
+}
+
+std::string to_table(const std::vector<MethodFigures>& figures) {
+  std::string table;
+  char line[320];
+  std::snprintf(line, sizeof line, "%-24s %6s %8s %10s %8s %8s %9s %8s %9s %9s %9s %9s %15s %15s\n", "method", "frames",
+                "PSNR dB", "VMSE m^2", "RMSE mm", "RMSE/box", "Hausd. mm", "normal", "stretch", "STED", "jitter mm",
+                "/ refer.", "penetrations", "self-inters.");
+  table += line;
+  const auto change = [](std::uint64_t before, std::uint64_t after) {
+    return before == after ? std::to_string(after) : std::to_string(before) + " > " + std::to_string(after);
+  };
+  for (const MethodFigures& method : figures) {
+    const MetricValues& m = method.metrics;
+    char psnr[16] = "-";
+    if (m.psnr_db) std::snprintf(psnr, sizeof psnr, "%.2f", *m.psnr_db);
+    std::snprintf(line, sizeof line,
+                  "%-24s %6zu %8s %10.3e %8.3f %8.5f %9.3f %7.2f\u00b0 %9.5f %9.5f %9.4f %9.3f %15s %15s\n",
+                  method.name.c_str(), m.frames, psnr, m.vmse_m2, 1e3 * m.rmse_m, m.rmse_relative, 1e3 * m.hausdorff_m,
+                  m.normal_angle_deg, m.stretch, m.sted.combined, 1e3 * m.jitter_m, m.jitter_ratio,
+                  change(m.counts.penetrations_before, m.counts.penetrations).c_str(),
+                  change(m.counts.self_intersections_before, m.counts.self_intersections).c_str());
+    table += line;
+  }
+  for (const MethodFigures& method : figures) {
+    if (method.median_ms.empty()) continue;
+    table += method.name + ", median ms a frame:";
+    for (const auto& [stage, ms] : method.median_ms) {
+      std::snprintf(line, sizeof line, " %s %.2f", stage.c_str(), ms);
+      table += line;
+    }
+    table += "\n";
+  }
+  return table;
+}
+
+}  // namespace pleat::evaluation

@@ -1,0 +1,80 @@
+// Figures of methods on the sequences of a data set.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "common/store/dataset.hpp"
+#include "services/evaluation/metrics.hpp"
+
+namespace pleat::evaluation {
+
+/// One frame as a method made it.
+struct MethodFrame {
+  Positions positions;                             ///< (V_fine x 3) metres
+  std::vector<std::pair<std::string, double>> ms;  ///< per stage, in the order of the stages
+  bool refined = false;
+  std::uint64_t penetrations_before = 0, self_intersections_before = 0;  ///< where it was refined
+};
+
+/// What a method gets: the coarse frames of one sequence with their obstacles.
+struct MethodInput {
+  std::string sequence;
+  std::uint64_t frames = 0;
+  double frame_time_s = 0;
+  std::vector<ObstacleShape> obstacle_shapes;
+  std::function<Positions(std::uint64_t)> coarse;
+  std::function<std::vector<ObstacleFrame>(std::uint64_t)> obstacles;
+};
+
+/// A way to make fine frames. `run` gives each frame of a sequence to `sink`, in order.
+struct Method {
+  std::string name;  ///< "barycentric", "pleat:draping"
+  std::function<void(const MethodInput&, const std::function<void(std::uint64_t, const MethodFrame&)>& sink)> run;
+};
+
+struct MethodFigures {
+  std::string name;
+  MetricValues metrics;
+  std::vector<std::pair<std::string, double>> median_ms;  ///< per stage
+};
+
+struct EvaluationOptions {
+  std::vector<std::string> sequences;  ///< empty: the split "test", or all if there is none
+  std::uint64_t frames = 0;            ///< of each sequence at most; 0: all
+  /// Every so-manieth frame is measured, though methods make all. Figures over time (jitter, STED's temporal part) then
+  /// are of frames so far apart.
+  std::uint64_t every = 1;
+};
+
+/// The sequences with frames that are named, or those of the split "test", or all if there are none. Throws kNotFound.
+std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const std::vector<std::string>& names);
+
+/// Barycentric upsampling of the coarse frames. Throws kInvalidArgument if the data set's fine mesh is not the
+/// subdivision of its coarse mesh.
+Method barycentric_method(const MeshPair& topology);
+
+/// Wrinkles by example, from the data set's training split (services/superres/zurdo.hpp), without refinement, which the
+/// method does not have.
+Method zurdo_method(const DatasetReader& dataset);
+
+/// Rounds of subdivision from the coarse to the fine mesh; kInvalidArgument if there is no such number.
+int subdivision_rounds(const MeshPair& topology);
+
+/// Runs every method on every sequence. Penetrations and self-intersections are counted by the judge of
+/// services/refinement on what the method gave, whatever it reports itself; only the counts before refinement are the
+/// method's own. `progress` gets the frames done of all.
+/// Throws kNotFound (an unknown sequence, or none), and what methods throw.
+std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vector<Method>& methods,
+                                    const EvaluationOptions& options,
+                                    const std::function<void(std::uint64_t, std::uint64_t)>& progress);
+
+/// method -> metric -> value; a PSNR that does not exist is null.
+nlohmann::json to_json(const std::vector<MethodFigures>& figures);
+/// A table for people.
+std::string to_table(const std::vector<MethodFigures>& figures);
+
+}  // namespace pleat::evaluation

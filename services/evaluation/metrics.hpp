@@ -1,0 +1,166 @@
+// How far a sequence of enhanced frames is from the simulated one. docs/metrics.md has the definitions and sources.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "common/frame/frame.hpp"
+#include "common/mesh/mesh.hpp"
+
+namespace pleat::evaluation {
+
+class ImageMap;
+
+/// Mean over vertices of the squared distance, m^2. a, b: (V x 3). Throws kInvalidArgument for different sizes or V =
+/// 0.
+double vertex_mean_square_error(const Positions& a, const Positions& b);
+
+/// 10 log10(peak^2 / mse), dB; infinite for mse 0.
+double psnr_db(double mse, double peak = 1);
+
+/// Parameters of STED as its authors recommend them.
+struct StedOptions {
+  double temporal_step = 0.002;   ///< length of a frame's step in units of the bounding box diagonal
+  double temporal_weight = 0.13;  ///< c
+};
+
+struct StedValues {
+  double spatial = 0;
+  double temporal = 0;
+  double combined = 0;  ///< sqrt(spatial^2 + c^2 temporal^2)
+};
+
+/// Spatio-temporal edge difference (Vasa and Skala 2011). Frames are added one by one; a sequence is one shot.
+class StedAccumulator {
+ public:
+  /// Needs manifold faces of vertex_count vertices.
+  StedAccumulator(Eigen::Index vertex_count, const Faces& faces, const StedOptions& options = {});
+
+  /// The next frame belongs to another sequence: no temporal edge joins it to the last one.
+  void begin_sequence();
+  /// reference, candidate: (V x 3). O(E).
+  void add(const Positions& reference, const Positions& candidate);
+  /// Over everything added; 0 where nothing was.
+  StedValues values() const;
+
+ private:
+  StedOptions options_;
+  std::vector<std::array<std::uint32_t, 2>> edges_;
+  std::vector<std::uint32_t> offsets_;       ///< (V+1) rows into vertex_edges_
+  std::vector<std::uint32_t> vertex_edges_;  ///< edges at a vertex
+  Positions last_reference_, last_candidate_;
+  std::vector<double> last_length_, last_difference_;  ///< of the temporal edge that ended in the last frame
+  double diagonal_ = 0;
+  std::size_t sequence_frames_ = 0;
+  double spatial_sum_ = 0, temporal_sum_ = 0;
+  std::size_t spatial_count_ = 0, temporal_count_ = 0;
+};
+
+/// Second differences in time: shaking.
+class JitterAccumulator {
+ public:
+  void begin_sequence();
+  void add(const Positions& reference, const Positions& candidate);
+  double value() const;  ///< root mean square of the error of second differences, m; 0 before the third frame
+  double ratio() const;  ///< root mean square of the candidate's over the reference's; 1 where the latter is 0
+
+ private:
+  std::array<Positions, 2> references_, candidates_;  ///< the last two frames, the older one first
+  std::size_t sequence_frames_ = 0;
+  double error_sum_ = 0, reference_sum_ = 0, candidate_sum_ = 0;
+  std::size_t count_ = 0;
+};
+
+/// Mean over the vertices of the angle between area-weighted vertex normals, degrees.
+double mean_normal_angle(const Faces& faces, const Positions& reference, const Positions& candidate);
+
+/// Errors of edge lengths relative to the rest lengths.
+class StretchError {
+ public:
+  /// Needs manifold faces. An edge without rest length does not count.
+  StretchError(const Faces& faces, const Positions& rest);
+  /// Root mean square over the edges of (candidate's length - reference's length) / rest length.
+  double operator()(const Positions& reference, const Positions& candidate) const;
+
+ private:
+  std::vector<std::array<std::uint32_t, 2>> edges_;
+  std::vector<double> rest_lengths_;
+};
+
+/// Range of the displacement channels, for the PSNR.
+struct DisplacementRange {
+  std::array<float, 3> minimum{};
+  std::array<float, 3> maximum{};
+};
+
+/// Mean square error of the displacement images of a frame pair, after normalisation to [0, 1], over valid texels and
+/// the three channels. Both frames take the alignment of the coarse frame.
+class DisplacementImageError {
+ public:
+  /// coarse_width, coarse_height: texels; 0: the default size. Throws kInvalidArgument (unusable meshes, empty range).
+  DisplacementImageError(const Topology& coarse, const Topology& fine, const DisplacementRange& range,
+                         int coarse_width = 0, int coarse_height = 0);
+  ~DisplacementImageError();
+
+  double mean_square_error(const Positions& coarse, const Positions& reference, const Positions& candidate);
+
+ private:
+  std::unique_ptr<ImageMap> map_;
+  DisplacementRange range_;
+  Tensor reference_, candidate_;
+};
+
+/// What the judge found in one frame, before refinement and in the final mesh. A method that refines nothing has the
+/// same counts twice.
+struct FrameCounts {
+  std::uint64_t penetrations_before = 0, penetrations = 0;
+  std::uint64_t self_intersections_before = 0, self_intersections = 0;
+};
+
+/// The figures of one method over all sequences.
+struct MetricValues {
+  std::size_t frames = 0;
+  std::optional<double> psnr_db;  ///< absent without a normalisation, or where nothing differs
+  double vmse_m2 = 0;
+  double rmse_m = 0;            ///< sqrt(vmse_m2)
+  double rmse_relative = 0;     ///< over the bounding box diagonal of the fine rest mesh
+  double normal_angle_deg = 0;  ///< mean over frames
+  double stretch = 0;           ///< root mean square over edges and frames
+  double hausdorff_m = 0;       ///< mean over frames
+  StedValues sted;
+  double jitter_m = 0;
+  double jitter_ratio = 1;
+  FrameCounts counts;  ///< sums over frames
+};
+
+/// Collects all metrics of one method.
+class MetricsAccumulator {
+ public:
+  /// range: without it there is no PSNR.
+  MetricsAccumulator(const Topology& coarse, const Topology& fine, const std::optional<DisplacementRange>& range,
+                     int coarse_width = 0, int coarse_height = 0);
+  ~MetricsAccumulator();
+
+  void begin_sequence();
+  /// coarse: (V_coarse x 3); reference, candidate: (V_fine x 3), metres. Throws kInvalidArgument for other sizes.
+  void add(const Positions& coarse, const Positions& reference, const Positions& candidate,
+           const FrameCounts& counts = {});
+  MetricValues values() const;
+
+ private:
+  Faces faces_;
+  Eigen::Index fine_vertices_;
+  std::unique_ptr<DisplacementImageError> image_error_;
+  StedAccumulator sted_;
+  JitterAccumulator jitter_;
+  StretchError stretch_;
+  double diagonal_;
+  std::size_t frames_ = 0;
+  double image_mse_sum_ = 0, vmse_sum_ = 0, hausdorff_sum_ = 0, angle_sum_ = 0, stretch_square_sum_ = 0;
+  FrameCounts counts_;
+};
+
+}  // namespace pleat::evaluation

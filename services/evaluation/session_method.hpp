@@ -1,0 +1,17 @@
+// A model bundle as a method to evaluate.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "common/rpc/channel.hpp"
+#include "services/evaluation/evaluation.hpp"
+
+namespace pleat::evaluation {
+
+/// "pleat:MODEL": a live session with the coordinator per sequence. Refinement also hides errors: a mesh that is far
+/// off intersects itself and goes back to the upsampled coarse one. Throws what the session throws.
+Method session_method(const std::shared_ptr<grpc::Channel>& channel, const std::string& address,
+                      const MeshPair& topology, const std::string& model, bool refine = true);
+
+}  // namespace pleat::evaluation

@@ -1,0 +1,35 @@
+// Obstacles named on the command line, for frames that bring none.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "common/frame/frame.hpp"
+#include "services/presentation/input/sequence_input.hpp"
+
+namespace pleat::presentation {
+
+/// Obstacles in every frame.
+class ObstacleInput {
+ public:
+  /// Each text is one of
+  ///   sphere:X,Y,Z,RADIUS   metres, at rest
+  ///   capsule:X,Y,Z,X,Y,Z,RADIUS   metres, from end to end, at rest
+  ///   MESH.obj              a closed mesh at rest
+  ///   MESH.obj@FRAMES       the same, moved: FRAMES as open_frame_sequence, the last frame stays
+  /// Names are the files' or sphere, sphere2, ..., capsule, ... Throws kInvalidArgument, kNotFound; the text is named.
+  explicit ObstacleInput(const std::vector<std::string>& texts);
+
+  std::vector<ObstacleShape> shapes() const;
+  std::vector<ObstacleFrame> at(std::size_t frame) const;
+
+ private:
+  struct Obstacle {
+    ObstacleShape shape;
+    ObstacleFrame rest;
+    std::shared_ptr<FrameSequence> motion;
+  };
+  std::vector<Obstacle> obstacles_;
+};
+
+}  // namespace pleat::presentation

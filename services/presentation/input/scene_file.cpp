@@ -1,0 +1,248 @@
+#include "services/presentation/input/scene_file.hpp"
+
+#include <google/protobuf/util/json_util.h>
+
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <regex>
+#include <set>
+#include <sstream>
+#include <utility>
+
+#include "common/base/error.hpp"
+#include "common/frame/messages.hpp"
+#include "common/mesh/mesh.hpp"
+#include "common/mesh/obj.hpp"
+#include "services/presentation/input/animation_input.hpp"
+
+namespace pleat::presentation {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::uintmax_t kMaxFileBytes = 64u << 20;
+
+std::string read_text(const fs::path& path, const std::string& wanted_by) {
+  std::ifstream stream(path, std::ios::binary);
+  std::error_code ignored;
+  if (!stream || fs::is_directory(path, ignored)) throw_not_found(wanted_by + path.string() + ": can't be read");
+  if (fs::file_size(path, ignored) > kMaxFileBytes)
+    throw Error(ErrorCode::kResourceExhausted, path.string() + ": larger than 64 MiB");
+  std::ostringstream text;
+  text << stream.rdbuf();
+  return text.str();
+}
+
+/// One line, without protobuf's status prefix: "INVALID_ARGUMENT:(handles[0]) bogus: Cannot find field."
+std::string json_error(const std::string& text) {
+  std::string line = std::regex_replace(text, std::regex("\\s+"), " ");
+  if (line.starts_with("INVALID_ARGUMENT:")) line = line.substr(17);
+  std::smatch match;
+  if (std::regex_search(line, match,
+                        std::regex(R"(^\(?([^()]*)\)?:? ?(?:invalid name )?([^ ]*): Cannot find field\.?)"))) {
+    const std::string where = match[1].str(), key = match[2].str();
+    const std::string joint = where.empty() || key.empty() ? "" : ".";
+    return std::string("unknown key '").append(where).append(joint).append(key).append("'");
+  }
+  return line;
+}
+
+class Checker {
+ public:
+  explicit Checker(std::string name) : name_(std::move(name)) {}
+
+  [[noreturn]] void fail(const std::string& message) const { throw_invalid_argument(name_ + ": " + message); }
+
+  void positive(double value, const std::string& key) const {
+    if (!(value > 0) || !std::isfinite(value)) fail(key + " must be positive");
+  }
+  void finite(double value, const std::string& key) const {
+    if (!std::isfinite(value)) fail(key + " is not finite");
+  }
+  template <typename Values>
+  void vector(const Values& values, const std::string& key, bool required = false) const {
+    if (values.size() == 0 && !required) return;
+    if (values.size() != 3) fail(key + " needs 3 values, has " + std::to_string(values.size()));
+    for (const auto value : values) finite(static_cast<double>(value), key);
+  }
+  void word(const std::string& text, const std::string& key) const {
+    static const std::regex allowed("[A-Za-z0-9_-]+");
+    if (!std::regex_match(text, allowed)) fail(key + " '" + text + "' must be letters, digits, '-' or '_'");
+  }
+  template <typename KeyFrames>
+  void motion(const KeyFrames& keys, const std::string& where) const {
+    for (int k = 0; k < keys.size(); ++k) {
+      const std::string key = where + ".motion[" + std::to_string(k) + "]";
+      finite(keys[k].time_s(), key + ".time_s");
+      finite(keys[k].angle_deg(), key + ".angle_deg");
+      vector(keys[k].translation(), key + ".translation");
+      vector(keys[k].axis(), key + ".axis");
+      if (k > 0 && keys[k].time_s() <= keys[k - 1].time_s()) fail(key + ".time_s is not after the key before it");
+    }
+  }
+
+ private:
+  std::string name_;
+};
+
+/// Proto3 can't tell an explicit 0 from an absent value; the file can.
+void check_explicit_zeros(const nlohmann::json& json, const Checker& check) {
+  const std::pair<const char*, const char*> keys[] = {
+      {"frames", "frames"}, {"steps_per_frame", "stepsPerFrame"}, {"frame_time_s", "frameTimeS"}};
+  for (const auto& [snake, camel] : keys) {
+    for (const char* key : {snake, camel}) {
+      const auto found = json.find(key);
+      if (found != json.end() && found->is_number()) check.positive(found->get<double>(), snake);
+    }
+  }
+}
+
+void check_scene(const v1::Scene& scene, Eigen::Index vertices, const Checker& check) {
+  check.word(scene.name(), "name");
+  check.vector(scene.gravity(), "gravity");
+  check.vector(scene.placement().translation(), "placement.translation");
+  check.vector(scene.placement().axis(), "placement.axis");
+  check.finite(scene.placement().angle_deg(), "placement.angle_deg");
+  check.vector(scene.wind().velocity(), "wind.velocity");
+  if (scene.subdivision_rounds() > 5) check.fail("subdivision_rounds is above 5");
+  for (int h = 0; h < scene.handles_size(); ++h) {
+    const v1::Handle& handle = scene.handles(h);
+    const std::string where = "handles[" + std::to_string(h) + "]";
+    if (handle.vertices_size() == 0) check.fail(where + ".vertices is empty");
+    for (int k = 0; k < handle.vertices_size(); ++k) {
+      if (handle.vertices(k) >= static_cast<std::uint64_t>(vertices))
+        check.fail(where + ".vertices[" + std::to_string(k) + "]: vertex " + std::to_string(handle.vertices(k)) +
+                   " does not exist, the garment has " + std::to_string(vertices));
+    }
+    if (handle.has_stiffness()) check.positive(handle.stiffness(), where + ".stiffness");
+    if (handle.has_end_s() && handle.end_s() <= handle.start_s()) check.fail(where + ".end_s is not after start_s");
+    check.motion(handle.motion(), where);
+  }
+  std::set<std::string> names;
+  for (int o = 0; o < scene.obstacles_size(); ++o) {
+    const v1::Obstacle& obstacle = scene.obstacles(o);
+    const std::string where = "obstacles[" + std::to_string(o) + "]";
+    check.word(obstacle.name(), where + ".name");
+    if (!names.insert(obstacle.name()).second) check.fail(where + ".name '" + obstacle.name() + "' is taken");
+    if (obstacle.shape_case() == v1::Obstacle::SHAPE_NOT_SET)
+      check.fail(where + " has neither sphere nor capsules nor mesh_file");
+    for (int c = 0; c < obstacle.capsules().capsules_size(); ++c) {
+      const v1::Capsule& capsule = obstacle.capsules().capsules(c);
+      const std::string key = where + ".capsules.capsules[" + std::to_string(c) + "]";
+      check.vector(capsule.a(), key + ".a", true);
+      check.vector(capsule.b(), key + ".b", true);
+      check.positive(capsule.radius(), key + ".radius");
+    }
+    if (obstacle.has_animation()) {
+      if (obstacle.motion_size() > 0) check.fail(where + " has motion and animation");
+      if (obstacle.animation().has_sample_time_s())
+        check.positive(obstacle.animation().sample_time_s(), where + ".animation.sample_time_s");
+    }
+    if (obstacle.has_sphere()) {
+      check.vector(obstacle.sphere().center(), where + ".sphere.center");
+      check.positive(obstacle.sphere().radius(), where + ".sphere.radius");
+    }
+    check.motion(obstacle.motion(), where);
+  }
+}
+
+Eigen::Index point_count(const v1::Obstacle& obstacle) {
+  if (obstacle.has_mesh()) return obstacle.mesh().rest_positions_size() / 3;
+  return obstacle.has_capsules() ? 2 * obstacle.capsules().capsules_size() : 1;
+}
+
+/// Puts what the obstacle's files hold in their places.
+void inline_obstacle(v1::Obstacle& obstacle, const fs::path& folder, const std::string& where) {
+  if (obstacle.shape_case() == v1::Obstacle::kMeshFile) {
+    const fs::path file = folder / obstacle.mesh_file();
+    std::error_code ignored;
+    if (!fs::is_regular_file(file, ignored)) throw_not_found(where + ".mesh_file " + file.string() + ": no such file");
+    *obstacle.mutable_mesh() = to_message(read_obj(file));
+  }
+  if (obstacle.animation().file().empty()) return;
+  const std::string name = std::exchange(*obstacle.mutable_animation()->mutable_file(), "");
+  try {
+    for (const Positions& sample : read_animation(folder / name, point_count(obstacle)))
+      obstacle.mutable_animation()->mutable_positions()->Add(sample.data(), sample.data() + sample.size());
+  } catch (const Error& error) {
+    throw Error(error.code(), where + ".animation.file: " + error.what());
+  }
+}
+
+}  // namespace
+
+v1::Scene parse_scene(const std::string& text, const std::string& name, const fs::path& folder) {
+  const Checker check(name);
+  nlohmann::json json;
+  try {
+    json = nlohmann::json::parse(text);
+  } catch (const nlohmann::json::parse_error& error) {
+    const std::string what = error.what();
+    const auto line = what.find("line ");
+    check.fail("not JSON: " + (line == std::string::npos ? what : what.substr(line)));
+  }
+  if (!json.is_object()) check.fail("a scene is a JSON object");
+  v1::Scene scene;
+  const auto status = google::protobuf::util::JsonStringToMessage(text, &scene);
+  if (!status.ok()) check.fail(json_error(status.ToString()));
+  check_explicit_zeros(json, check);
+  if (scene.frames() == 0) check.fail("frames is missing");
+
+  switch (scene.garment_case()) {
+    case v1::Scene::kGarmentFile: {
+      const fs::path file = folder / scene.garment_file();
+      std::error_code ignored;
+      if (!fs::is_regular_file(file, ignored))
+        throw_not_found(name + ": garment_file " + file.string() + ": no such file");
+      const Topology garment = read_obj(file);
+      validate_material_coordinates(garment, file.string());
+      *scene.mutable_garment_mesh() = to_message(garment);
+      scene.mutable_garment_mesh()->set_hash(topology_hash(garment));
+      break;
+    }
+    case v1::Scene::kGarmentMesh:
+      break;
+    case v1::Scene::GARMENT_NOT_SET:
+      check.fail("garment_file is missing");
+  }
+  if (scene.has_material_file()) {
+    const fs::path file = folder / scene.material_file();
+    std::string material = read_text(file, name + ": material_file ");
+    if (!nlohmann::json::accept(material)) throw_invalid_argument(file.string() + ": not JSON");
+    scene.set_material_json(std::move(material));
+  } else if (scene.has_isotropic()) {
+    check.positive(scene.isotropic().density(), "isotropic.density");
+    check.positive(scene.isotropic().youngs_modulus(), "isotropic.youngs_modulus");
+    check.positive(scene.isotropic().thickness(), "isotropic.thickness");
+    if (!(scene.isotropic().poissons_ratio() >= 0 && scene.isotropic().poissons_ratio() <= 0.5))
+      check.fail("isotropic.poissons_ratio must be 0 to 0.5");
+  } else if (!scene.has_material_json()) {
+    check.fail("material_file is missing");
+  }
+  for (int o = 0; o < scene.obstacles_size(); ++o) {
+    inline_obstacle(*scene.mutable_obstacles(o), folder, name + ": obstacles[" + std::to_string(o) + "]");
+  }
+  check_scene(scene, scene.garment_mesh().rest_positions_size() / 3, check);
+  return scene;
+}
+
+v1::Scene read_scene_file(const fs::path& path) {
+  return parse_scene(read_text(path, ""), path.string(), path.parent_path());
+}
+
+std::string scene_json(const v1::Scene& scene) {
+  v1::Scene bare = scene;
+  bare.clear_garment();
+  for (v1::Obstacle& obstacle : *bare.mutable_obstacles()) {
+    if (obstacle.has_mesh()) obstacle.clear_shape();
+    if (obstacle.has_animation()) obstacle.mutable_animation()->clear_positions();
+  }
+  std::string json;
+  google::protobuf::util::JsonPrintOptions options;
+  options.preserve_proto_field_names = true;
+  if (!google::protobuf::util::MessageToJsonString(bare, &json, options).ok()) return {};
+  return json;
+}
+
+}  // namespace pleat::presentation

@@ -1,0 +1,24 @@
+// Scene files: pleat.v1.Scene in protobuf's JSON form, made ready for the wire.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "pleat/v1/scene.pb.h"
+
+namespace pleat::presentation {
+
+/// Reads a scene file and puts the files that it names (garment, material, meshes and animations of obstacles; paths
+/// relative to the scene file) into the message, so that it can go to a service. Checks what needs no simulation:
+/// unknown keys, handles on vertices that do not exist, steps, frames and frame time that are not positive, vectors of
+/// another length than 3, names, radii, key frames out of order. Throws kNotFound (a file is missing), kInvalidArgument
+/// (everything else), with the file and the key in one line.
+v1::Scene read_scene_file(const std::filesystem::path& path);
+
+/// The same from text. `name` goes before messages, `folder` is where relative paths start.
+v1::Scene parse_scene(const std::string& json, const std::string& name, const std::filesystem::path& folder);
+
+/// The scene's JSON without the inlined meshes and material, for files that record what was simulated.
+std::string scene_json(const v1::Scene& scene);
+
+}  // namespace pleat::presentation

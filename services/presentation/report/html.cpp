@@ -1,0 +1,210 @@
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <map>
+
+#include "common/base/error.hpp"
+#include "services/presentation/report/encode.hpp"
+#include "services/presentation/report/files.hpp"
+#include "services/presentation/report/report.hpp"
+#include "services/presentation/report/upsampling.hpp"
+#include "services/presentation/report/viewer_template.hpp"
+
+namespace pleat::presentation {
+
+namespace {
+
+using nlohmann::json;
+
+/// The places of the page that the writer fills.
+constexpr std::string_view kTitleMarker = "PLEAT_TITLE";
+constexpr std::string_view kDataMarker = "<!-- PLEAT_DATA -->";
+
+/// What lies in the page besides its code: one JSON object, and binary blobs that it names.
+struct Payload {
+  json meta = json::object();
+  std::map<std::string, std::string> blobs;  ///< name -> base64
+
+  std::size_t bytes() const {
+    std::size_t sum = 0;
+    for (const auto& [name, text] : blobs) sum += text.size();
+    return sum;
+  }
+};
+
+std::string escape_html(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    switch (c) {
+      case '&':
+        out += "&amp;";
+        break;
+      case '<':
+        out += "&lt;";
+        break;
+      case '>':
+        out += "&gt;";
+        break;
+      default:
+        out += c;
+    }
+  }
+  return out;
+}
+
+/// JSON that can't end the script element it lies in.
+std::string script_safe(const json& value) {
+  std::string out;
+  for (const char c : value.dump(-1, ' ', true, json::error_handler_t::replace)) {
+    if (c == '<') {
+      out += "\\u003c";
+    } else {
+      out += c;
+    }
+  }
+  return out;
+}
+
+std::vector<std::uint32_t> words_of(const Faces& faces) { return {faces.data(), faces.data() + faces.size()}; }
+
+template <class Matrix>
+std::vector<std::uint32_t> bits_of(const Matrix& floats) {
+  std::vector<std::uint32_t> words(static_cast<std::size_t>(floats.size()));
+  std::memcpy(words.data(), floats.data(), words.size() * sizeof(std::uint32_t));
+  return words;
+}
+
+void add_words(Payload& payload, const std::string& name, std::span<const std::uint32_t> words) {
+  payload.blobs[name] = base64(deflate(byte_planes(words), 9));
+}
+
+json rounded(const std::vector<double>& values) {
+  json out = json::array();
+  for (const double value : values) out.push_back(std::round(value * 1e3) / 1e3);
+  return out;
+}
+
+/// Adds the frames as blob `name` and returns their description.
+json add_sequence(Payload& payload, const std::string& name, const std::function<Positions(std::size_t)>& frame,
+                  std::size_t count, std::size_t stride, Eigen::Index vertices, const Faces& faces) {
+  const QuantizedSequence sequence = quantize_sequence(frame, count, stride, vertices, faces, name);
+  payload.blobs[name] = base64(sequence.deflated);
+  json origin = json::array();
+  for (const float value : sequence.origin) origin.push_back(value);
+  return {{"blob", name},
+          {"frames", sequence.frames},
+          {"vertices", sequence.vertices},
+          {"step", sequence.step},
+          {"origin", std::move(origin)}};
+}
+
+json add_obstacle(Payload& payload, const ReportObstacle& obstacle, std::size_t index, std::size_t count,
+                  std::size_t stride) {
+  json out = {{"name", obstacle.shape.name}};
+  if (obstacle.shape.faces.rows() == 0) {
+    json centers = json::array();
+    json radii = json::array();
+    for (std::size_t t = 0; t < count; t += stride) {
+      const ObstacleFrame frame = obstacle.at(t);
+      for (int axis = 0; axis < 3; ++axis) centers.push_back(frame.center[axis]);
+      radii.push_back(frame.radius);
+    }
+    out["centers"] = std::move(centers);
+    out["radii"] = std::move(radii);
+    return out;
+  }
+  const std::string name = "obstacle" + std::to_string(index);
+  const Eigen::Index vertices = count > 0 ? obstacle.at(0).positions.rows() : 0;
+  out["sequence"] = add_sequence(
+      payload, name, [&](std::size_t t) { return obstacle.at(t).positions; }, count, stride, vertices,
+      obstacle.shape.faces);
+  out["faces"] = name + "_faces";
+  add_words(payload, name + "_faces", words_of(obstacle.shape.faces));
+  return out;
+}
+
+Payload make_payload(const ReportInput& input, const json& report, std::size_t stride) {
+  Payload payload;
+  json& meta = payload.meta;
+  meta["report"] = report;
+  meta["stride"] = stride;
+  meta["stages"] = json::array();
+  for (const ReportStage& stage : input.stages) {
+    meta["stages"].push_back({{"name", stage.name}, {"ms", rounded(stage.ms)}});
+  }
+  meta["counts"] = json::array();
+  for (const ReportCount& count : input.counts) {
+    meta["counts"].push_back({{"name", count.name}, {"values", count.values}});
+  }
+  add_words(payload, "coarse_faces", words_of(input.coarse_topology.faces));
+  add_words(payload, "fine_faces", words_of(input.fine_topology.faces));
+  const std::size_t count = input.frame_count;
+  meta["coarse"] = add_sequence(payload, "coarse", input.coarse, count, stride, input.coarse_topology.vertex_count(),
+                                input.coarse_topology.faces);
+  meta["enhanced"] = add_sequence(payload, "enhanced", input.enhanced, count, stride,
+                                  input.fine_topology.vertex_count(), input.fine_topology.faces);
+  if (input.reference) {
+    meta["reference"] = add_sequence(payload, "reference", input.reference, count, stride,
+                                     input.fine_topology.vertex_count(), input.fine_topology.faces);
+  }
+  if (const auto upsampling = find_upsampling(input.coarse_topology, input.fine_topology)) {
+    add_words(payload, "parent_faces", upsampling->parent_face);
+    add_words(payload, "barycentric", bits_of(upsampling->barycentric));
+    meta["upsampling"] = {{"parent_faces", "parent_faces"}, {"barycentric", "barycentric"}};
+  }
+  meta["obstacles"] = json::array();
+  for (std::size_t o = 0; o < input.obstacles.size(); ++o) {
+    meta["obstacles"].push_back(add_obstacle(payload, input.obstacles[o], o, count, stride));
+  }
+  return payload;
+}
+
+std::string replace_once(std::string_view text, std::string_view marker, std::string_view value) {
+  const std::size_t place = text.find(marker);
+  if (place == std::string_view::npos) throw_internal("the viewer has no marker " + std::string(marker));
+  std::string out;
+  out.reserve(text.size() + value.size());
+  out += text.substr(0, place);
+  out += value;
+  out += text.substr(place + marker.size());
+  return out;
+}
+
+}  // namespace
+
+void write_report_html(const ReportInput& input, const std::filesystem::path& path, const ReportHtmlOptions& options) {
+  if (input.frame_count == 0) throw_invalid_argument("a report needs at least one frame");
+  const json report = make_report_json(input);
+  // Quantised frames deflate to a fifth at best, and base64 adds a third: a stride below this one can't fit, and
+  // starting here bounds the memory for long results.
+  const auto vertices = static_cast<double>(input.coarse_topology.vertex_count() +
+                                            input.fine_topology.vertex_count() * (input.reference ? 2 : 1));
+  const double least_bytes = 6.0 * vertices * static_cast<double>(input.frame_count) / 5 * 4 / 3;
+  auto stride =
+      static_cast<std::size_t>(std::max(1.0, std::ceil(least_bytes / static_cast<double>(options.max_bytes))));
+  const std::size_t fixed_bytes = viewer_template().size() + 1000 * input.stages.size();
+  for (;;) {
+    const Payload payload = make_payload(input, report, stride);
+    const std::size_t bytes = payload.bytes() + fixed_bytes;
+    if (bytes > options.max_bytes) {
+      if (stride >= input.frame_count) {
+        throw Error(ErrorCode::kResourceExhausted, path.string() + ": one frame alone needs " + std::to_string(bytes) +
+                                                       " bytes, the limit is " + std::to_string(options.max_bytes));
+      }
+      const double ratio = static_cast<double>(bytes) / static_cast<double>(options.max_bytes);
+      stride = std::min(input.frame_count,
+                        std::max(stride + 1, static_cast<std::size_t>(static_cast<double>(stride) * ratio)));
+      continue;
+    }
+    std::string data =
+        "<script type=\"application/json\" id=\"pleat-meta\">" + script_safe(payload.meta) + "</script>\n";
+    for (const auto& [name, text] : payload.blobs) {
+      data += "<script type=\"application/octet-stream\" id=\"pleat-" + name + "\">" + text + "</script>\n";
+    }
+    const std::string page = replace_once(viewer_template(), kTitleMarker, escape_html(input.summary.title));
+    write_file_atomically(path, replace_once(page, kDataMarker, data));
+    return;
+  }
+}
+
+}  // namespace pleat::presentation

@@ -1,0 +1,243 @@
+// Reads what services/presentation/report wrote into the page: one JSON object and base64 blobs (docs/report.md).
+
+export interface SequenceMeta {
+  blob: string;
+  frames: number;
+  vertices: number;
+  step: number;
+  origin: number[];
+}
+
+export interface ObstacleMeta {
+  name: string;
+  centers?: number[];
+  radii?: number[];
+  sequence?: SequenceMeta;
+  faces?: string;
+}
+
+export interface StageFigures {
+  median_ms: number;
+  p95_ms: number;
+}
+
+export interface Report {
+  [field: string]: unknown;
+  title: string;
+  frames: number;
+  coarse_vertices: number;
+  fine_vertices: number;
+  coarse_faces: number;
+  fine_faces: number;
+  frame_time_s: number;
+  wall_s: number;
+  frames_per_s: number;
+  penetrations: number;
+  self_intersections: number;
+  stages: Record<string, StageFigures>;
+  model: string;
+  device: string;
+  precision: string;
+  git_revision?: string;
+  fidelity?: Record<string, { rmse_m: number; max_m: number }>;
+}
+
+export interface Meta {
+  report: Report;
+  stride: number;
+  stages: { name: string; ms: number[] }[];
+  counts: { name: string; values: number[] }[];
+  coarse: SequenceMeta;
+  enhanced: SequenceMeta;
+  reference?: SequenceMeta;
+  upsampling?: { parent_faces: string; barycentric: string };
+  obstacles: ObstacleMeta[];
+}
+
+function element(id: string): HTMLElement {
+  const found = document.getElementById(`pleat-${id}`);
+  if (!found) throw new Error(`the page has no part "${id}"`);
+  return found;
+}
+
+export function readMeta(): Meta {
+  return JSON.parse(element("meta").textContent ?? "") as Meta;
+}
+
+function fromBase64(text: string): Uint8Array<ArrayBuffer> {
+  const native = (Uint8Array as unknown as { fromBase64?: (text: string) => Uint8Array<ArrayBuffer> }).fromBase64;
+  if (native) return native.call(Uint8Array, text);
+  const binary = atob(text);
+  const bytes = new Uint8Array(binary.length);
+  for (let i = 0; i < binary.length; ++i) bytes[i] = binary.charCodeAt(i);
+  return bytes;
+}
+
+/** Inflates a blob, and takes its text out of the page: it is needed once. */
+async function readBlob(name: string): Promise<Uint8Array> {
+  const script = element(name);
+  const deflated = fromBase64(script.textContent ?? "");
+  script.remove();
+  const stream = new Blob([deflated]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+export async function readWords(name: string): Promise<Uint32Array> {
+  const planes = await readBlob(name);
+  const count = planes.length / 4;
+  const words = new Uint32Array(count);
+  for (let i = 0; i < count; ++i) {
+    words[i] = planes[i] | (planes[count + i] << 8) | (planes[2 * count + i] << 16) | (planes[3 * count + i] << 24);
+  }
+  return words;
+}
+
+export async function readFloats(name: string): Promise<Float32Array> {
+  return new Float32Array((await readWords(name)).buffer);
+}
+
+/** Per vertex the corners of its faces with a smaller index, once per face, in compressed rows. */
+function earlierMates(faces: Uint32Array, vertices: number): { offsets: Uint32Array; mates: Uint32Array } {
+  const offsets = new Uint32Array(vertices + 1);
+  const visit = (action: (later: number, earlier: number) => void) => {
+    for (let f = 0; f < faces.length; f += 3) {
+      for (let a = 0; a < 3; ++a) {
+        for (let b = 0; b < 3; ++b) if (faces[f + a] > faces[f + b]) action(faces[f + a], faces[f + b]);
+      }
+    }
+  };
+  visit((later) => ++offsets[later + 1]);
+  for (let v = 0; v < vertices; ++v) offsets[v + 1] += offsets[v];
+  const mates = new Uint32Array(offsets[vertices]);
+  const next = offsets.slice(0, vertices);
+  visit((later, earlier) => (mates[next[later]++] = earlier));
+  return { offsets, mates };
+}
+
+/** Frames of one mesh, kept as 16-bit integers (order: frame, axis, vertex). */
+export class Sequence {
+  readonly frames: number;
+  readonly vertices: number;
+  private readonly step: number;
+  private readonly origin: number[];
+  private readonly quantized: Uint16Array;
+
+  private constructor(meta: SequenceMeta, quantized: Uint16Array) {
+    this.frames = meta.frames;
+    this.vertices = meta.vertices;
+    this.step = meta.step;
+    this.origin = meta.origin;
+    this.quantized = quantized;
+  }
+
+  /** Undoes what services/presentation/report/encode.hpp describes. */
+  static async read(meta: SequenceMeta, faces: Uint32Array): Promise<Sequence> {
+    const planes = await readBlob(meta.blob);
+    const { vertices } = meta;
+    const perFrame = 3 * vertices;
+    const total = perFrame * meta.frames;
+    if (planes.length !== 2 * total) throw new Error(`part "${meta.blob}" has a wrong length`);
+    const { offsets, mates } = earlierMates(faces, vertices);
+    const q = new Uint16Array(total);
+    const residuals = new Int16Array(vertices);
+    for (let start = 0; start < total; start += vertices) {
+      for (let v = 0; v < vertices; ++v) {
+        const i = start + v;
+        let sum = 0;
+        let count = offsets[v + 1] - offsets[v];
+        if (count > 0) {
+          for (let k = offsets[v]; k < offsets[v + 1]; ++k) sum += residuals[mates[k]];
+        } else if (v > 0) {
+          sum = residuals[v - 1];
+          count = 1;
+        } else {
+          count = 1;
+        }
+        const zigzag = planes[i] | (planes[total + i] << 8);
+        // The typed arrays wrap modulo 2^16.
+        residuals[v] = ((zigzag >>> 1) ^ -(zigzag & 1)) + Math.floor(sum / count);
+        const before = i >= perFrame ? q[i - perFrame] : 0;
+        const expected = i >= 2 * perFrame ? 2 * before - q[i - 2 * perFrame] : before;
+        q[i] = expected + residuals[v];
+      }
+    }
+    return new Sequence(meta, q);
+  }
+
+  /** Writes x0,y0,z0,x1,... of a frame, in metres, into `out`. */
+  positions(frame: number, out: Float32Array): Float32Array {
+    const base = frame * 3 * this.vertices;
+    for (let axis = 0; axis < 3; ++axis) {
+      const origin = this.origin[3 * frame + axis];
+      const start = base + axis * this.vertices;
+      for (let v = 0; v < this.vertices; ++v) out[3 * v + axis] = origin + this.step * this.quantized[start + v];
+    }
+    return out;
+  }
+}
+
+/** Barycentric upsampling of the coarse mesh to the fine vertices. */
+export class Upsampling {
+  constructor(
+    private readonly coarseFaces: Uint32Array,
+    private readonly parentFaces: Uint32Array,
+    private readonly barycentric: Float32Array,
+  ) {}
+
+  apply(coarse: Float32Array, out: Float32Array): Float32Array {
+    const { coarseFaces, parentFaces, barycentric } = this;
+    for (let v = 0; v < parentFaces.length; ++v) {
+      const a = 3 * coarseFaces[3 * parentFaces[v]];
+      const b = 3 * coarseFaces[3 * parentFaces[v] + 1];
+      const c = 3 * coarseFaces[3 * parentFaces[v] + 2];
+      const wa = barycentric[3 * v];
+      const wb = barycentric[3 * v + 1];
+      const wc = barycentric[3 * v + 2];
+      for (let axis = 0; axis < 3; ++axis) {
+        out[3 * v + axis] = wa * coarse[a + axis] + wb * coarse[b + axis] + wc * coarse[c + axis];
+      }
+    }
+    return out;
+  }
+}
+
+export interface Obstacle {
+  name: string;
+  centers?: number[];
+  radii?: number[];
+  faces?: Uint32Array;
+  sequence?: Sequence;
+}
+
+/** All that the page shows, decoded. */
+export interface Dataset {
+  meta: Meta;
+  coarseFaces: Uint32Array;
+  fineFaces: Uint32Array;
+  coarse: Sequence;
+  enhanced: Sequence;
+  reference?: Sequence;
+  upsampling?: Upsampling;
+  obstacles: Obstacle[];
+}
+
+export async function readDataset(): Promise<Dataset> {
+  const meta = readMeta();
+  const [coarseFaces, fineFaces] = await Promise.all([readWords("coarse_faces"), readWords("fine_faces")]);
+  const [coarse, enhanced, reference] = await Promise.all([
+    Sequence.read(meta.coarse, coarseFaces),
+    Sequence.read(meta.enhanced, fineFaces),
+    meta.reference && Sequence.read(meta.reference, fineFaces),
+  ]);
+  const upsampling =
+    meta.upsampling &&
+    new Upsampling(coarseFaces, await readWords(meta.upsampling.parent_faces), await readFloats(meta.upsampling.barycentric));
+  const obstacles = await Promise.all(
+    meta.obstacles.map(async ({ name, centers, radii, ...mesh }): Promise<Obstacle> => {
+      const faces = mesh.faces ? await readWords(mesh.faces) : undefined;
+      const sequence = mesh.sequence && faces && (await Sequence.read(mesh.sequence, faces));
+      return { name, centers, radii, faces, sequence };
+    }),
+  );
+  return { meta, coarseFaces, fineFaces, coarse, enhanced, reference, upsampling, obstacles };
+}

@@ -1,0 +1,86 @@
+// A data set of two short sequences whose figures are known.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <string>
+
+#include "common/mesh/subdivision.hpp"
+#include "common/store/dataset.hpp"
+#include "tests/support/temporary_folder.hpp"
+
+namespace pleat::evaluation::test {
+
+inline constexpr float kOffset = 0.02f;
+
+inline Topology sheet() {
+  Topology t;
+  constexpr int n = 4;
+  t.rest_positions.resize(n * n, 3);
+  t.uv.resize(n * n, 2);
+  for (int j = 0; j < n; ++j) {
+    for (int i = 0; i < n; ++i) {
+      t.rest_positions.row(j * n + i) << static_cast<float>(i) / 3, 0, -static_cast<float>(j) / 3;
+      t.uv.row(j * n + i) << static_cast<float>(i) / 3, static_cast<float>(j) / 3;
+    }
+  }
+  t.faces.resize(18, 3);
+  for (std::uint32_t j = 0, f = 0; j < 3; ++j) {
+    for (std::uint32_t i = 0; i < 3; ++i) {
+      const std::uint32_t a = j * n + i;
+      t.faces.row(f++) << a, a + 1, a + n + 1;
+      t.faces.row(f++) << a, a + n + 1, a + n;
+    }
+  }
+  t.uv_faces = t.faces;
+  return t;
+}
+
+/// Two frames a sequence; the fine cloth lies kOffset above the upsampled coarse one, and a sphere touches the latter.
+class EvaluationDataset : public testing::Test {
+ protected:
+  void SetUp() override {
+    const Topology coarse = sheet();
+    const Subdivision subdivision = subdivide(coarse, 2);
+    DatasetMaster master;
+    master.time_step_s = 0.005;
+    master.frame_time_s = 0.04;
+    master.topology = {coarse, subdivision.fine, subdivision.feature_vertices};
+    master.sequences = {"learn", "fall"};
+    FeatureRange range;
+    range.minimum.fill(-1);
+    range.maximum.fill(1);
+    master.normalization = range;
+    write_dataset_master(folder_, master);
+    for (const std::string sequence : {"learn", "fall"}) {
+      SequenceOptions options;
+      options.name = sequence;
+      options.split = sequence == "fall" ? "test" : "train";
+      options.frames = 2;
+      options.coarse_vertices = coarse.vertex_count();
+      options.fine_vertices = subdivision.fine.vertex_count();
+      options.topology_hash = topology_hash(subdivision.fine);
+      options.obstacles = {{"ball", {}}};
+      options.obstacle_vertices = {0};
+      SequenceWriter writer(folder_, options);
+      for (int k = 0; k < 2; ++k) {
+        SequenceFrame frame;
+        frame.time_s = 0.04 * k;
+        frame.coarse = coarse.rest_positions;
+        frame.fine = subdivision.fine.rest_positions;
+        frame.fine.col(1).array() += kOffset;
+        frame.obstacles.resize(1);
+        frame.obstacles[0].name = "ball";
+        frame.obstacles[0].center = {0.5f, -0.1f, -0.5f};
+        frame.obstacles[0].radius = 0.11f;  // reaches 1 cm through the coarse sheet, and stays below the fine one
+        writer.append(frame);
+      }
+      writer.finish();
+    }
+  }
+  const pleat::test::TemporaryFolder temporary_;
+  const std::filesystem::path folder_ = temporary_.path();
+};
+
+}  // namespace pleat::evaluation::test

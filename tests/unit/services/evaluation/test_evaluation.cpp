@@ -1,0 +1,130 @@
+// Evaluation on a data set of two short sequences.
+#include "services/evaluation/evaluation.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/base/error.hpp"
+#include "common/base/statistics.hpp"
+#include "tests/support/executable.hpp"
+#include "tests/unit/services/evaluation/evaluation_dataset.hpp"
+
+namespace pleat::evaluation {
+namespace {
+
+using test::kOffset;
+using Evaluation = test::EvaluationDataset;
+
+TEST_F(Evaluation, OfTheBaselineOnTheTestSplit) {
+  const DatasetReader dataset(folder_);
+  std::uint64_t last = 0, total = 0;
+  const auto figures =
+      evaluate(dataset, {barycentric_method(dataset.topology())}, {}, [&](std::uint64_t done, std::uint64_t of) {
+        EXPECT_EQ(done, last + 1);
+        last = done;
+        total = of;
+      });
+  ASSERT_EQ(figures.size(), 1u);
+  const MetricValues& values = figures[0].metrics;
+  EXPECT_EQ(figures[0].name, "barycentric");
+  EXPECT_EQ(values.frames, 2u);
+  EXPECT_EQ(last, 2u);
+  EXPECT_EQ(total, 2u);
+  EXPECT_NEAR(values.rmse_m, kOffset, 1e-6);
+  EXPECT_NEAR(values.hausdorff_m, kOffset, 1e-6);
+  EXPECT_NEAR(values.sted.combined, 0, 1e-5);
+  ASSERT_TRUE(values.psnr_db.has_value());
+  EXPECT_NEAR(*values.psnr_db, psnr_db(kOffset * kOffset / 4 / 3), 1e-3);
+  EXPECT_GT(values.counts.penetrations, 0u);
+  EXPECT_EQ(values.counts.self_intersections, 0u);
+}
+
+TEST_F(Evaluation, OfAMethodWithoutErrorHasNoPsnrAndItsTimes) {
+  const DatasetReader dataset(folder_);
+  const Method perfect{
+      "perfect", [&](const MethodInput& input, const auto& sink) {
+        for (std::uint64_t k = 0; k < input.frames; ++k)
+          sink(k, {dataset.fine(input.sequence, k, k + 1).at(0), {{"think", 1.0 + static_cast<double>(k)}}});
+      }};
+  const auto figures = evaluate(dataset, {perfect}, {{"learn", "fall"}, 0}, [](auto, auto) {});
+  EXPECT_EQ(figures[0].metrics.frames, 4u);
+  EXPECT_EQ(figures[0].metrics.vmse_m2, 0);
+  EXPECT_EQ(figures[0].metrics.counts.penetrations, 0u);
+  ASSERT_EQ(figures[0].median_ms.size(), 1u);
+  EXPECT_DOUBLE_EQ(figures[0].median_ms[0].second, 1.5);
+  const nlohmann::json json = to_json(figures);
+  EXPECT_TRUE(json.at("perfect").at("psnr_db").is_null());
+  EXPECT_EQ(json.at("perfect").at("think_ms"), 1.5);
+  for (const char* key : {"vmse_m2", "rmse_m", "hausdorff_m", "sted", "jitter", "penetrations", "self_intersections"})
+    EXPECT_TRUE(json.at("perfect").at(key).is_number()) << key;
+  EXPECT_THAT(to_table(figures), testing::HasSubstr("perfect"));
+}
+
+TEST_F(Evaluation, TakesTheFirstFramesOnly) {
+  const DatasetReader dataset(folder_);
+  const auto figures = evaluate(dataset, {barycentric_method(dataset.topology())}, {{}, 1}, [](auto, auto) {});
+  EXPECT_EQ(figures[0].metrics.frames, 1u);
+}
+
+TEST_F(Evaluation, NamesAnUnknownSequence) {
+  const DatasetReader dataset(folder_);
+  try {
+    evaluate(dataset, {barycentric_method(dataset.topology())}, {{"jump"}, 0}, [](auto, auto) {});
+    ADD_FAILURE() << "accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kNotFound);
+    EXPECT_THAT(error.what(), testing::HasSubstr("jump"));
+  }
+}
+
+TEST_F(Evaluation, FindsTheRoundsOfSubdivision) {
+  const DatasetReader dataset(folder_);
+  EXPECT_EQ(subdivision_rounds(dataset.topology()), 2);
+  MeshPair other = dataset.topology();
+  other.fine.rest_positions(20, 1) += 0.1f;
+  EXPECT_THROW(subdivision_rounds(other), Error);
+}
+
+TEST_F(Evaluation, AsACommandPrintsJson) {
+  const test::Outcome outcome =
+      test::run(test::built("pleat"), {"eval", "--dataset", folder_.string(), "--json"}, folder_ / "outcome");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
+  const nlohmann::json json = nlohmann::json::parse(outcome.out);
+  EXPECT_NEAR(json.at("barycentric").at("rmse_m").get<double>(), kOffset, 1e-6);
+  EXPECT_FALSE(json.contains("zurdo2013"));
+}
+
+TEST_F(Evaluation, ExamplesFromTheTrainingSplitAreABaseline) {
+  // The training sequence has the offset that the test sequence has, so that the examples know the answer.
+  const test::Outcome outcome = test::run(
+      test::built("pleat"), {"eval", "--dataset", folder_.string(), "--baselines", "--json"}, folder_ / "outcome");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
+  const nlohmann::json figures = nlohmann::json::parse(outcome.out).at("zurdo2013");
+  EXPECT_NEAR(figures.at("rmse_m").get<double>(), 0, 1e-6);
+  EXPECT_EQ(figures.at("penetrations_before"), figures.at("penetrations"));
+  EXPECT_GE(figures.at("examples_ms").get<double>(), 0);
+}
+
+TEST_F(Evaluation, CountsBeforeRefinementAreTheMethodsOwn) {
+  const DatasetReader dataset(folder_);
+  const Method refined{"refined", [&](const MethodInput& input, const auto& sink) {
+                         for (std::uint64_t k = 0; k < input.frames; ++k)
+                           sink(k, {dataset.fine(input.sequence, k, k + 1).at(0), {}, true, 7, 9});
+                       }};
+  const MetricValues values = evaluate(dataset, {refined}, {}, [](auto, auto) {})[0].metrics;
+  EXPECT_EQ(values.counts.penetrations_before, 14u);
+  EXPECT_EQ(values.counts.penetrations, 0u);
+  EXPECT_EQ(values.counts.self_intersections_before, 18u);
+  EXPECT_EQ(values.counts.self_intersections, 0u);
+}
+
+TEST(Quantile, InterpolatesBetweenOrderStatistics) {
+  EXPECT_DOUBLE_EQ(median({3, 1, 2}), 2);
+  EXPECT_DOUBLE_EQ(median({4, 1, 2, 3}), 2.5);
+  EXPECT_DOUBLE_EQ(quantile({0, 10}, 0.95), 9.5);
+  EXPECT_DOUBLE_EQ(quantile({7}, 0.95), 7);
+  EXPECT_DOUBLE_EQ(median({}), 0);
+}
+
+}  // namespace
+}  // namespace pleat::evaluation

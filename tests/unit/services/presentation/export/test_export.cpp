@@ -1,0 +1,255 @@
+// Exports are read back with readers written here from the formats' descriptions.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstring>
+#include <fstream>
+#include <limits>
+#include <sstream>
+
+#include "common/base/error.hpp"
+#include "common/mesh/obj.hpp"
+#include "common/mesh/subdivision.hpp"
+#include "common/store/result.hpp"
+#include "services/presentation/export/export.hpp"
+#include "tests/support/temporary_folder.hpp"
+
+namespace pleat::presentation {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string read_file(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  EXPECT_TRUE(file) << path;
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+/// Reads numbers at a moving place.
+class Bytes {
+ public:
+  Bytes(std::string bytes, bool big_endian) : bytes_(std::move(bytes)), big_endian_(big_endian) {}
+
+  template <class T>
+  T next() {
+    EXPECT_LE(place_ + sizeof(T), bytes_.size());
+    char raw[sizeof(T)];
+    std::memcpy(raw, bytes_.data() + place_, sizeof(T));
+    if (big_endian_) std::reverse(raw, raw + sizeof(T));
+    place_ += sizeof(T);
+    T value;
+    std::memcpy(&value, raw, sizeof(T));
+    return value;
+  }
+  std::string take(std::size_t count) {
+    place_ += count;
+    return bytes_.substr(place_ - count, count);
+  }
+  Positions positions(Eigen::Index vertices) {
+    Positions out(vertices, 3);
+    for (Eigen::Index i = 0; i < out.size(); ++i) out.data()[i] = next<float>();
+    return out;
+  }
+  bool at_end() const { return place_ == bytes_.size(); }
+
+ private:
+  std::string bytes_;
+  bool big_endian_;
+  std::size_t place_ = 0;
+};
+
+/// A quadrilateral of two triangles with material coordinates, moving; coordinates without short decimal form.
+Topology quad() {
+  Topology topology;
+  topology.rest_positions.resize(4, 3);
+  topology.rest_positions << 0, 0, 0, 1, 0, 0, 1, 0, -1, 0, 0, -1;
+  topology.faces.resize(2, 3);
+  topology.faces << 0, 1, 2, 0, 2, 3;
+  topology.uv.resize(4, 2);
+  topology.uv << 0, 0, 1, 0, 1, 1, 0, 1;
+  topology.uv_faces = topology.faces;
+  return topology;
+}
+
+Positions moved(const Topology& topology, std::size_t frame) {
+  Positions positions = topology.rest_positions / 3.0f;
+  positions.col(1).array() += 0.1f * static_cast<float>(frame);
+  positions(2, 0) += 1e-7f;
+  return positions;
+}
+
+class Export : public testing::Test {
+ protected:
+  void SetUp() override {
+    input_.name = "sheet";
+    input_.topology = quad();
+    input_.frame_count = 3;
+    input_.frame_time_s = 0.04;
+    input_.frame = [this](std::size_t t) { return moved(input_.topology, t); };
+  }
+
+  const test::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path() / "out";
+  ExportInput input_;
+};
+
+TEST_F(Export, ObjSequenceGivesTheSameFloats) {
+  const auto files = export_frames(input_, ExportFormat::kObj, folder_);
+  ASSERT_EQ(files.size(), 3u);
+  EXPECT_EQ(files[1].filename(), "sheet.0001.obj");
+  for (std::size_t t = 0; t < 3; ++t) {
+    const Topology read = read_obj(files[t]);
+    EXPECT_EQ(read.rest_positions, moved(input_.topology, t));
+    EXPECT_EQ(read.faces, input_.topology.faces);
+    EXPECT_EQ(read.uv, input_.topology.uv);
+    EXPECT_EQ(read.uv_faces, input_.topology.uv_faces);
+  }
+}
+
+TEST_F(Export, PlyHasTheHeaderAndEveryByte) {
+  const auto files = export_frames(input_, ExportFormat::kPly, folder_);
+  ASSERT_EQ(files.size(), 3u);
+  const std::string content = read_file(files[2]);
+  const std::string end = "end_header\n";
+  const std::size_t body = content.find(end) + end.size();
+  const std::string header = content.substr(0, body);
+  EXPECT_THAT(header, testing::StartsWith("ply\nformat binary_little_endian 1.0\n"));
+  EXPECT_THAT(header, testing::HasSubstr("element vertex 4\n"));
+  EXPECT_THAT(header, testing::HasSubstr("element face 2\n"));
+  EXPECT_EQ(content.size() - body, 4u * 6 * 4 + 2u * (1 + 3 * 4));
+  Bytes bytes(content.substr(body), false);
+  const Positions expected = moved(input_.topology, 2);
+  const Positions normals = vertex_normals(expected, input_.topology.faces);
+  for (Eigen::Index v = 0; v < 4; ++v) {
+    const Positions row = bytes.positions(2);
+    EXPECT_EQ(row.row(0), expected.row(v));
+    EXPECT_EQ(row.row(1), normals.row(v));
+  }
+  for (Eigen::Index f = 0; f < 2; ++f) {
+    EXPECT_EQ(bytes.next<std::uint8_t>(), 3);
+    for (Eigen::Index k = 0; k < 3; ++k) EXPECT_EQ(bytes.next<std::uint32_t>(), input_.topology.faces(f, k));
+  }
+  EXPECT_TRUE(bytes.at_end());
+}
+
+TEST_F(Export, Pc2HoldsEveryFrame) {
+  const auto files = export_frames(input_, ExportFormat::kPc2, folder_);
+  ASSERT_EQ(files.size(), 2u);
+  EXPECT_EQ(read_obj(files[0]).rest_positions, input_.topology.rest_positions);
+  Bytes bytes(read_file(files[1]), false);
+  EXPECT_EQ(bytes.take(12), std::string("POINTCACHE2\0", 12));
+  EXPECT_EQ(bytes.next<std::int32_t>(), 1);
+  EXPECT_EQ(bytes.next<std::int32_t>(), 4);
+  EXPECT_EQ(bytes.next<float>(), 0);
+  EXPECT_EQ(bytes.next<float>(), 1);
+  EXPECT_EQ(bytes.next<std::int32_t>(), 3);
+  for (std::size_t t = 0; t < 3; ++t) EXPECT_EQ(bytes.positions(4), moved(input_.topology, t));
+  EXPECT_TRUE(bytes.at_end());
+}
+
+TEST_F(Export, MddIsBigEndianWithTimes) {
+  const auto files = export_frames(input_, ExportFormat::kMdd, folder_);
+  ASSERT_EQ(files.size(), 2u);
+  Bytes bytes(read_file(files[1]), true);
+  EXPECT_EQ(bytes.next<std::int32_t>(), 3);
+  EXPECT_EQ(bytes.next<std::int32_t>(), 4);
+  for (int t = 0; t < 3; ++t) EXPECT_FLOAT_EQ(bytes.next<float>(), 0.04f * static_cast<float>(t));
+  for (std::size_t t = 0; t < 3; ++t) EXPECT_EQ(bytes.positions(4), moved(input_.topology, t));
+  EXPECT_TRUE(bytes.at_end());
+}
+
+/// The numbers between `start` and the end of its line.
+std::vector<float> numbers_after(const std::string& text, const std::string& start) {
+  const std::size_t place = text.find(start);
+  EXPECT_NE(place, std::string::npos) << start;
+  std::string line = text.substr(place + start.size(), text.find('\n', place) - place - start.size());
+  for (char& c : line) {
+    if (std::strchr("[](),", c) != nullptr) c = ' ';
+  }
+  std::istringstream stream(line);
+  std::vector<float> out;
+  for (float value = 0; stream >> value;) out.push_back(value);
+  return out;
+}
+
+TEST_F(Export, UsdaHasASamplePerFrame) {
+  const auto files = export_frames(input_, ExportFormat::kUsda, folder_);
+  ASSERT_EQ(files.size(), 1u);
+  const std::string text = read_file(files[0]);
+  EXPECT_THAT(text, testing::StartsWith("#usda 1.0\n"));
+  for (const char* part : {"upAxis = \"Y\"", "metersPerUnit = 1\n", "timeCodesPerSecond = 25\n", "endTimeCode = 2\n",
+                           "def Mesh \"sheet\"", "faceVertexCounts = [3, 3]", "faceVertexIndices = [0, 1, 2, 0, 2, 3]",
+                           "primvars:st:indices = [0, 1, 2, 0, 2, 3]", "subdivisionScheme = \"none\""}) {
+    EXPECT_THAT(text, testing::HasSubstr(part));
+  }
+  EXPECT_EQ(std::count(text.begin(), text.end(), '{'), std::count(text.begin(), text.end(), '}'));
+  EXPECT_EQ(std::count(text.begin(), text.end(), '['), std::count(text.begin(), text.end(), ']'));
+  const std::string points = text.substr(text.find("points.timeSamples"));
+  for (std::size_t t = 0; t < 3; ++t) {
+    const Positions expected = moved(input_.topology, t);
+    EXPECT_THAT(numbers_after(points, std::to_string(t) + ": "),
+                testing::ElementsAreArray(expected.data(), static_cast<std::size_t>(expected.size())));
+  }
+  const std::string extents = text.substr(text.find("extent.timeSamples"));
+  const std::vector<float> extent = numbers_after(extents, "1: ");
+  ASSERT_EQ(extent.size(), 6u);
+  EXPECT_EQ(extent[1], moved(input_.topology, 1).col(1).minCoeff());
+  EXPECT_EQ(extent[3], moved(input_.topology, 1).col(0).maxCoeff());
+}
+
+TEST_F(Export, BadInputIsNamedAndLeavesNoFile) {
+  EXPECT_THROW(
+      {
+        try {
+          parse_export_format("fbx");
+        } catch (const Error& error) {
+          EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
+          EXPECT_THAT(error.what(), testing::AllOf(testing::HasSubstr("fbx"), testing::HasSubstr("usda")));
+          throw;
+        }
+      },
+      Error);
+  input_.frame = [this](std::size_t t) {
+    Positions positions = moved(input_.topology, t);
+    if (t == 1) positions(0, 0) = std::numeric_limits<float>::quiet_NaN();
+    return positions;
+  };
+  EXPECT_THROW(export_frames(input_, ExportFormat::kPc2, folder_), Error);
+  EXPECT_FALSE(fs::exists(folder_ / "sheet.pc2"));
+  EXPECT_FALSE(fs::exists(folder_ / "sheet.pc2.tmp"));
+  input_.frame_count = 0;
+  EXPECT_THROW(export_frames(input_, ExportFormat::kUsda, folder_), Error);
+}
+
+TEST_F(Export, ReadsAResultFile) {
+  const Subdivision subdivision = subdivide(quad());
+  ResultOptions options;
+  options.topology = {quad(), subdivision.fine, subdivision.feature_vertices};
+  options.frames = 2;
+  options.frame_time_s = 0.04;
+  fs::create_directories(folder_);
+  ResultWriter writer(folder_ / "result.h5", options);
+  for (std::size_t t = 0; t < 2; ++t) {
+    ResultFrame frame;
+    frame.coarse = moved(quad(), t);
+    frame.enhanced = moved(subdivision.fine, t);
+    writer.append(frame);
+  }
+  writer.finish();
+  const ExportInput enhanced = read_export_input(folder_ / "result.h5");
+  EXPECT_EQ(enhanced.frame_count, 2u);
+  EXPECT_EQ(enhanced.frame(1), moved(subdivision.fine, 1));
+  EXPECT_EQ(read_export_input(folder_ / "result.h5", "coarse").frame(1), moved(quad(), 1));
+  EXPECT_THROW(read_export_input(folder_ / "result.h5", "fine"), Error);
+  EXPECT_THROW(read_export_input(folder_ / "result.h5", "shoes"), Error);
+  std::size_t done = 0;
+  const auto files = export_frames(enhanced, ExportFormat::kPc2, folder_, [&](std::size_t frames) { done = frames; });
+  EXPECT_EQ(done, 2u);
+  EXPECT_EQ(fs::file_size(files[1]), 32u + 2u * static_cast<std::size_t>(subdivision.fine.vertex_count()) * 12u);
+}
+
+}  // namespace
+}  // namespace pleat::presentation
