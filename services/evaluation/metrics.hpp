@@ -10,9 +10,11 @@
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
 
-namespace pleat::evaluation {
-
+namespace pleat {
 class ImageMap;
+}  // namespace pleat
+
+namespace pleat::evaluation {
 
 /// Mean over vertices of the squared distance, m^2. a, b: (V x 3). Throws kInvalidArgument for different sizes or V =
 /// 0.

@@ -86,13 +86,13 @@ void make(const std::filesystem::path& folder, std::size_t frames, bool plain) {
   }
   writer.finish();
 
-  pleat::ReportSummary summary;
+  pleat::presentation::ReportSummary summary;
   summary.title = "Sheet over a ball";
   summary.precision = "bfloat16";
   summary.wall_s = 0.0131 * static_cast<double>(frames);
-  const pleat::ReportInput input = pleat::read_report_input(folder / "result.h5", summary);
-  pleat::write_report_json(input, folder / "report.json");
-  pleat::write_report_html(input, folder / "report.html");
+  const pleat::presentation::ReportInput input = pleat::presentation::read_report_input(folder / "result.h5", summary);
+  pleat::presentation::write_report_json(input, folder / "report.json");
+  pleat::presentation::write_report_html(input, folder / "report.html");
 }
 
 }  // namespace

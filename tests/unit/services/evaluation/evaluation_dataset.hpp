@@ -10,7 +10,7 @@
 #include "common/store/dataset.hpp"
 #include "tests/support/temporary_folder.hpp"
 
-namespace pleat::evaluation::test {
+namespace pleat::test {
 
 inline constexpr float kOffset = 0.02f;
 
@@ -83,4 +83,4 @@ class EvaluationDataset : public testing::Test {
   const std::filesystem::path folder_ = temporary_.path();
 };
 
-}  // namespace pleat::evaluation::test
+}  // namespace pleat::test
