@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdio>
 #include <memory>
+#include <optional>
 
 #include "common/base/error.hpp"
 #include "common/base/statistics.hpp"
@@ -15,6 +16,7 @@ namespace pleat::evaluation {
 namespace {
 
 constexpr int kMaxRounds = 5;
+constexpr const char* kUpsamplingMethod = "barycentric";
 
 }  // namespace
 
@@ -48,7 +50,7 @@ int subdivision_rounds(const MeshPair& topology) {
 
 Method barycentric_method(const MeshPair& topology) {
   const auto subdivision = std::make_shared<Subdivision>(subdivide(topology.coarse, subdivision_rounds(topology)));
-  return {"barycentric", [subdivision, faces = topology.coarse.faces](const MethodInput& input, const auto& sink) {
+  return {kUpsamplingMethod, [subdivision, faces = topology.coarse.faces](const MethodInput& input, const auto& sink) {
             for (std::uint64_t k = 0; k < input.frames; ++k)
               sink(k, MethodFrame{upsample(*subdivision, faces, input.coarse(k)), {}});
           }};
@@ -90,7 +92,7 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
 
   std::vector<MethodFigures> figures;
   for (const Method& method : methods) {
-    MetricsAccumulator metrics(topology.coarse, topology.fine, range);
+    MetricsAccumulator metrics(topology.coarse, topology.fine, topology.feature_vertices, range);
     std::vector<std::pair<std::string, std::vector<double>>> times;
     for (const SequenceInfo& info : sequences) {
       metrics.begin_sequence();
@@ -129,8 +131,21 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
   return figures;
 }
 
+namespace {
+
+/// What upsampling lacks, root mean square: the size of the detail that there is to make. Absent without that method.
+std::optional<double> reference_detail(const std::vector<MethodFigures>& figures) {
+  const auto found = std::find_if(figures.begin(), figures.end(),
+                                  [](const MethodFigures& method) { return method.name == kUpsamplingMethod; });
+  if (found == figures.end()) return std::nullopt;
+  return found->metrics.rmse_m;
+}
+
+}  // namespace
+
 nlohmann::json to_json(const std::vector<MethodFigures>& figures) {
   nlohmann::json json = nlohmann::json::object();
+  const std::optional<double> detail = reference_detail(figures);
   for (const MethodFigures& method : figures) {
     const MetricValues& m = method.metrics;
     nlohmann::json& out = json[method.name];
@@ -147,6 +162,10 @@ nlohmann::json to_json(const std::vector<MethodFigures>& figures) {
     out["sted_temporal"] = m.sted.temporal;
     out["jitter"] = m.jitter_m;
     out["jitter_ratio"] = m.jitter_ratio;
+    out["wrinkles"] = m.wrinkles;
+    out["lattice"] = m.lattice;
+    out["lattice_reference"] = m.reference_lattice;
+    if (detail) out["detail_rmse_m"] = *detail;
     out["penetrations"] = m.counts.penetrations;
     out["penetrations_before"] = m.counts.penetrations_before;
     out["self_intersections"] = m.counts.self_intersections;
@@ -176,6 +195,25 @@ std::string to_table(const std::vector<MethodFigures>& figures) {
                   m.normal_angle_deg, m.stretch, m.sted.combined, 1e3 * m.jitter_m, m.jitter_ratio,
                   change(m.counts.penetrations_before, m.counts.penetrations).c_str(),
                   change(m.counts.self_intersections_before, m.counts.self_intersections).c_str());
+    table += line;
+  }
+  table += "\nwrinkles: energy of the normals over the reference's, by band of averaging rounds; 1 is right\n";
+  std::snprintf(line, sizeof line, "%-24s %8s %8s %8s %8s %8s\n", "method", "0-1", "1-4", "4-16", "16-64", "lattice");
+  table += line;
+  for (const MethodFigures& method : figures) {
+    const MetricValues& m = method.metrics;
+    std::snprintf(line, sizeof line, "%-24s %8.3f %8.3f %8.3f %8.3f %8.3f\n", method.name.c_str(), m.wrinkles[0],
+                  m.wrinkles[1], m.wrinkles[2], m.wrinkles[3], m.lattice);
+    table += line;
+  }
+  if (!figures.empty()) {
+    std::snprintf(line, sizeof line, "%-24s %8s %8s %8s %8s %8.3f\n", "reference", "1", "1", "1", "1",
+                  figures.front().metrics.reference_lattice);
+    table += line;
+  }
+  if (const std::optional<double> detail = reference_detail(figures)) {
+    std::snprintf(line, sizeof line, "the reference's own detail, which upsampling lacks: %.3f mm RMS\n",
+                  1e3 * *detail);
     table += line;
   }
   for (const MethodFigures& method : figures) {

@@ -160,6 +160,29 @@ double JitterAccumulator::value() const { return count_ > 0 ? std::sqrt(error_su
 
 double JitterAccumulator::ratio() const { return reference_sum_ > 0 ? std::sqrt(candidate_sum_ / reference_sum_) : 1; }
 
+void WrinkleAccumulator::add(const Positions& reference, const Positions& candidate) {
+  check_pair(reference, candidate);
+  const WrinkleFigures r = meter_.measure(reference), c = meter_.measure(candidate);
+  for (std::size_t b = 0; b < kWrinkleBands; ++b) {
+    reference_[b] += r.bands[b];
+    candidate_[b] += c.bands[b];
+  }
+  reference_lattice_ += r.lattice;
+  candidate_lattice_ += c.lattice;
+  ++frames_;
+}
+
+std::array<double, kWrinkleBands> WrinkleAccumulator::ratios() const {
+  std::array<double, kWrinkleBands> ratios{};
+  for (std::size_t b = 0; b < kWrinkleBands; ++b) {
+    if (reference_[b] > 0)
+      ratios[b] = candidate_[b] / reference_[b];
+    else
+      ratios[b] = candidate_[b] > 0 ? std::numeric_limits<double>::infinity() : 1;
+  }
+  return ratios;
+}
+
 double mean_normal_angle(const Faces& faces, const Positions& reference, const Positions& candidate) {
   check_pair(reference, candidate);
   const Positions a = vertex_normals(reference, faces), b = vertex_normals(candidate, faces);
@@ -238,11 +261,13 @@ double DisplacementImageError::mean_square_error(const Positions& coarse, const 
 }
 
 MetricsAccumulator::MetricsAccumulator(const Topology& coarse, const Topology& fine,
+                                       std::span<const std::uint32_t> feature_vertices,
                                        const std::optional<DisplacementRange>& range, int coarse_width,
                                        int coarse_height)
     : faces_(fine.faces),
       fine_vertices_(fine.vertex_count()),
       sted_(fine.vertex_count(), fine.faces),
+      wrinkles_(fine.vertex_count(), fine.faces, feature_vertices),
       stretch_(fine.faces, fine.rest_positions),
       diagonal_(bounding_box_diagonal(fine.rest_positions)) {
   if (range) image_error_ = std::make_unique<DisplacementImageError>(coarse, fine, *range, coarse_width, coarse_height);
@@ -266,6 +291,7 @@ void MetricsAccumulator::add(const Positions& coarse, const Positions& reference
   hausdorff_sum_ += hausdorff_distance(faces_, reference, candidate);
   sted_.add(reference, candidate);
   jitter_.add(reference, candidate);
+  wrinkles_.add(reference, candidate);
   angle_sum_ += mean_normal_angle(faces_, reference, candidate);
   stretch_square_sum_ += std::pow(stretch_(reference, candidate), 2);
   counts_.penetrations_before += counts.penetrations_before;
@@ -287,6 +313,9 @@ MetricValues MetricsAccumulator::values() const {
   values.sted = sted_.values();
   values.jitter_m = jitter_.value();
   values.jitter_ratio = jitter_.ratio();
+  values.wrinkles = wrinkles_.ratios();
+  values.lattice = wrinkles_.lattice();
+  values.reference_lattice = wrinkles_.reference_lattice();
   values.rmse_relative = values.rmse_m / diagonal_;
   values.normal_angle_deg = angle_sum_ / n;
   values.stretch = std::sqrt(stretch_square_sum_ / n);

@@ -5,10 +5,12 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
+#include "common/mesh/wrinkles.hpp"
 
 namespace pleat {
 class ImageMap;
@@ -76,6 +78,28 @@ class JitterAccumulator {
   std::size_t count_ = 0;
 };
 
+/// Amounts of wrinkling, pooled over frames.
+class WrinkleAccumulator {
+ public:
+  /// As WrinkleMeter.
+  WrinkleAccumulator(Eigen::Index vertex_count, const Faces& faces, std::span<const std::uint32_t> feature_vertices)
+      : meter_(vertex_count, faces, feature_vertices) {}
+
+  void add(const Positions& reference, const Positions& candidate);
+  /// Per band the candidate's energy over the reference's, both summed over the frames: below 1 the cloth is smoother
+  /// at that scale than it should be, above 1 rougher. 1 where both are 0, infinite where only the reference's is.
+  std::array<double, kWrinkleBands> ratios() const;
+  /// Means over the frames; 1 before the first.
+  double lattice() const { return frames_ > 0 ? candidate_lattice_ / static_cast<double>(frames_) : 1; }
+  double reference_lattice() const { return frames_ > 0 ? reference_lattice_ / static_cast<double>(frames_) : 1; }
+
+ private:
+  WrinkleMeter meter_;
+  std::array<double, kWrinkleBands> reference_{}, candidate_{};
+  double reference_lattice_ = 0, candidate_lattice_ = 0;
+  std::size_t frames_ = 0;
+};
+
 /// Mean over the vertices of the angle between area-weighted vertex normals, degrees.
 double mean_normal_angle(const Faces& faces, const Positions& reference, const Positions& candidate);
 
@@ -135,15 +159,17 @@ struct MetricValues {
   StedValues sted;
   double jitter_m = 0;
   double jitter_ratio = 1;
+  std::array<double, kWrinkleBands> wrinkles{};  ///< energy per band over the reference's
+  double lattice = 1, reference_lattice = 1;
   FrameCounts counts;  ///< sums over frames
 };
 
 /// Collects all metrics of one method.
 class MetricsAccumulator {
  public:
-  /// range: without it there is no PSNR.
-  MetricsAccumulator(const Topology& coarse, const Topology& fine, const std::optional<DisplacementRange>& range,
-                     int coarse_width = 0, int coarse_height = 0);
+  /// feature_vertices: indices of the coarse vertices in the fine mesh. range: without it there is no PSNR.
+  MetricsAccumulator(const Topology& coarse, const Topology& fine, std::span<const std::uint32_t> feature_vertices,
+                     const std::optional<DisplacementRange>& range, int coarse_width = 0, int coarse_height = 0);
   ~MetricsAccumulator();
 
   void begin_sequence();
@@ -158,6 +184,7 @@ class MetricsAccumulator {
   std::unique_ptr<DisplacementImageError> image_error_;
   StedAccumulator sted_;
   JitterAccumulator jitter_;
+  WrinkleAccumulator wrinkles_;
   StretchError stretch_;
   double diagonal_;
   std::size_t frames_ = 0;

@@ -1,6 +1,7 @@
 #include "services/presentation/report/report.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory>
 #include <numeric>
@@ -8,6 +9,7 @@
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/mesh/wrinkles.hpp"
 #include "common/store/result.hpp"
 #include "services/presentation/report/capsule_surface.hpp"
 #include "services/presentation/report/files.hpp"
@@ -65,6 +67,32 @@ nlohmann::json make_fidelity(const ReportInput& input) {
   }
   nlohmann::json out = {{"enhanced", enhanced.json()}};
   if (upsampling) out["upsampled"] = upsampled.json();
+  return out;
+}
+
+constexpr std::size_t kWrinkleFrames = 60;  ///< measured at most: averaging takes some 10 ms a frame
+
+nlohmann::json make_wrinkles(const ReportInput& input) {
+  std::vector<std::uint32_t> features(static_cast<std::size_t>(input.coarse_topology.vertex_count()));
+  std::iota(features.begin(), features.end(), 0U);
+  const WrinkleMeter meter(input.fine_topology.vertex_count(), input.fine_topology.faces, features);
+  const std::size_t stride = (input.frame_count + kWrinkleFrames - 1) / kWrinkleFrames;
+  const auto measure = [&](const std::function<Positions(std::size_t)>& frames) {
+    std::array<double, kWrinkleBands> bands{};
+    double lattice = 0, count = 0;
+    for (std::size_t t = 0; t < input.frame_count; t += stride, ++count) {
+      const WrinkleFigures figures = meter.measure(frames(t));
+      for (std::size_t b = 0; b < kWrinkleBands; ++b) bands[b] += figures.bands[b];
+      lattice += figures.lattice;
+    }
+    for (double& band : bands) band /= count;
+    return nlohmann::json{{"bands", bands}, {"lattice", lattice / count}};
+  };
+  nlohmann::json out = {{"enhanced", measure(input.enhanced)}};
+  if (const std::optional<Subdivision> upsampling = find_upsampling(input.coarse_topology, input.fine_topology))
+    out["upsampled"] =
+        measure([&](std::size_t t) { return upsample(*upsampling, input.coarse_topology.faces, input.coarse(t)); });
+  if (input.reference) out["reference"] = measure(input.reference);
   return out;
 }
 
@@ -157,6 +185,7 @@ nlohmann::json make_report_json(const ReportInput& input) {
   out["precision"] = summary.precision;
   if (!summary.git_revision.empty()) out["git_revision"] = summary.git_revision;
   if (input.reference) out["fidelity"] = make_fidelity(input);
+  if (input.frame_count > 0) out["wrinkles"] = make_wrinkles(input);
   return out;
 }
 

@@ -70,8 +70,9 @@ struct ReportHtmlOptions {
 /// The content of report.json (DESIGN section 6): frames, coarse_vertices, fine_vertices, wall_s, frames_per_s,
 /// stages {name: {median_ms, p95_ms, mean_ms, max_ms}}, the sum of each count (penetrations and self_intersections are
 /// 0 where they were not counted), model, device, precision; with a reference also fidelity {enhanced, upsampled:
-/// {rmse_m, max_m}}. Percentiles interpolate linearly between order statistics. Throws kInvalidArgument if a stage has
-/// another number of frames. O(T V).
+/// {rmse_m, max_m}}; wrinkles {enhanced, upsampled, reference: {bands, lattice}} (common/mesh/wrinkles.hpp).
+/// Percentiles interpolate linearly between order statistics. Throws kInvalidArgument if a stage has another number of
+/// frames. O(T V).
 nlohmann::json make_report_json(const ReportInput& input);
 
 /// Writes make_report_json to `path` (through a temporary file and a rename). Throws kResourceExhausted (disk).

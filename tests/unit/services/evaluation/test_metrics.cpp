@@ -210,6 +210,40 @@ TEST(Jitter, RatioComparesSecondDifferences) {
   EXPECT_EQ(JitterAccumulator().ratio(), 1);
 }
 
+/// Long stripes along z, whose height is a function of the column.
+template <typename Height>
+Positions stripes(const Topology& sheet, int cells, const Height& height) {
+  Positions positions = sheet.rest_positions;
+  for (Eigen::Index v = 0; v < positions.rows(); ++v)
+    positions(v, 1) = static_cast<float>(height(static_cast<double>(v % (cells + 1))));
+  return positions;
+}
+
+TEST(WrinkleAccumulator, ComparesAmountsNotPlaces) {
+  constexpr int kCells = 32;
+  const Topology sheet = grid(kCells, 32);
+  const auto wave = [&](double phase, double amplitude) {
+    return stripes(sheet, kCells, [=](double i) { return amplitude * std::sin(0.9 * i + phase); });
+  };
+  WrinkleAccumulator same(sheet.vertex_count(), sheet.faces, {}), flatter = same, none = same;
+  EXPECT_DOUBLE_EQ(same.ratios()[0], 1);
+  same.add(wave(0, 0.2), wave(1.3, 0.2));
+  flatter.add(wave(0, 0.2), wave(0, 0.1));
+  none.add(wave(0, 0.2), sheet.rest_positions);
+  for (const std::size_t band : {0U, 1U}) {
+    EXPECT_NEAR(same.ratios()[band], 1, 0.15);
+    EXPECT_NEAR(flatter.ratios()[band], 0.25, 0.05);
+    EXPECT_NEAR(none.ratios()[band], 0, 1e-6);
+  }
+}
+
+TEST(WrinkleAccumulator, IsInfiniteWhereOnlyTheReferenceIsFlat) {
+  const Topology sheet = grid(4, 1);
+  WrinkleAccumulator wrinkles(sheet.vertex_count(), sheet.faces, {});
+  wrinkles.add(sheet.rest_positions, stripes(sheet, 4, [](double i) { return 0.1 * std::sin(2 * i); }));
+  EXPECT_TRUE(std::isinf(wrinkles.ratios()[0]));
+}
+
 TEST(NormalAngle, OfATurnedTriangleIsTheTurn) {
   // Lifting the third vertex from (0, 4, 0) to (0, 0, 4) turns the normal from z to -y.
   Positions turned = triangle(4);
@@ -276,7 +310,7 @@ TEST(DisplacementImageError, RefusesAnEmptyRange) {
 TEST(MetricsAccumulator, PoolsFramesAndSums) {
   const Topology coarse = grid(4, 1);
   const Topology fine = subdivide(coarse, 1).fine;
-  MetricsAccumulator metrics(coarse, fine, DisplacementRange{{0, 0, 0}, {1, 1, 1}});
+  MetricsAccumulator metrics(coarse, fine, {}, DisplacementRange{{0, 0, 0}, {1, 1, 1}});
   Positions candidate = fine.rest_positions;
   candidate.col(1).array() += 0.2f;
   metrics.begin_sequence();
@@ -301,7 +335,7 @@ TEST(MetricsAccumulator, PoolsFramesAndSums) {
 TEST(MetricsAccumulator, HasNoPsnrWithoutARange) {
   const Topology coarse = grid(4, 1);
   const Topology fine = subdivide(coarse, 1).fine;
-  MetricsAccumulator metrics(coarse, fine, std::nullopt);
+  MetricsAccumulator metrics(coarse, fine, {}, std::nullopt);
   Positions candidate = fine.rest_positions;
   candidate.col(1).array() += 0.2f;
   metrics.add(coarse.rest_positions, fine.rest_positions, candidate);
