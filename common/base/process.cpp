@@ -1,7 +1,6 @@
 #include "common/base/process.hpp"
 
 #include <fcntl.h>
-#include <sys/file.h>
 #include <sys/prctl.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
@@ -12,12 +11,13 @@
 #include <csignal>
 #include <cstdlib>
 #include <cstring>
-#include <ctime>
 #include <fstream>
+#include <string_view>
 #include <thread>
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/own_file.hpp"
 
 namespace pleat {
 namespace {
@@ -26,8 +26,7 @@ namespace fs = std::filesystem;
 
 constexpr std::chrono::milliseconds kPoll{5};
 constexpr int kExecFailed = 127;
-/// A folder younger than this may belong to a process that has not locked it yet.
-constexpr std::time_t kStaleAfterSeconds = 10;
+constexpr const char* kLogHeader = "log of ";
 
 fs::path runtime_folder() {
   const char* runtime = std::getenv("XDG_RUNTIME_DIR");
@@ -35,21 +34,6 @@ fs::path runtime_folder() {
   if (runtime != nullptr && std::strlen(runtime) > 0 && std::strlen(runtime) < 60 && ::access(runtime, W_OK) == 0)
     return runtime;
   return "/tmp";
-}
-
-void remove_stale_folders(const fs::path& base) {
-  std::error_code ignored;
-  for (const fs::directory_entry& entry : fs::directory_iterator(base, ignored)) {
-    if (!entry.path().filename().string().starts_with("pleat-")) continue;
-    struct stat status {};
-    if (::lstat(entry.path().c_str(), &status) != 0 || !S_ISDIR(status.st_mode) || status.st_uid != ::getuid() ||
-        std::time(nullptr) - status.st_mtime < kStaleAfterSeconds)
-      continue;
-    const int lock = ::open((entry.path() / "lock").c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW);
-    if (lock < 0) continue;
-    if (::flock(lock, LOCK_EX | LOCK_NB) == 0) fs::remove_all(entry.path(), ignored);
-    ::close(lock);
-  }
 }
 
 }  // namespace
@@ -134,21 +118,17 @@ bool ChildProcess::wait_until(std::chrono::steady_clock::time_point deadline) {
   return true;
 }
 
-PrivateFolder::PrivateFolder() {
-  const fs::path base = runtime_folder();
-  remove_stale_folders(base);
-  std::string name = (base / "pleat-XXXXXX").string();
-  if (::mkdtemp(name.data()) == nullptr)
-    throw Error(ErrorCode::kResourceExhausted, name + ": can't be made: " + std::strerror(errno));
-  path_ = name;
-  lock_ = ::open((path_ / "lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-  if (lock_ >= 0) ::flock(lock_, LOCK_EX | LOCK_NB);
-}
+PrivateFolder::PrivateFolder() : ScratchFolder(runtime_folder(), "pleat") {}
 
-PrivateFolder::~PrivateFolder() {
-  std::error_code ignored;
-  fs::remove_all(path_, ignored);
-  if (lock_ >= 0) ::close(lock_);
+void begin_log(const fs::path& log, const std::string& program) {
+  const std::string header = kLogHeader + program + "\n";
+  const std::string_view marks[] = {header, "ready unix:"};
+  require_replaceable(log, marks);
+  const int file = ::open(log.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0644);
+  const bool written = file >= 0 && ::write(file, header.data(), header.size()) == static_cast<ssize_t>(header.size());
+  const int cause = errno;
+  if (file >= 0) ::close(file);
+  if (!written) throw_invalid_argument(log.string() + ": can't be written: " + std::strerror(cause));
 }
 
 fs::path executable_folder() {
@@ -166,7 +146,7 @@ std::string last_lines(const fs::path& file, std::size_t count) {
   stream.seekg(std::max<std::streamoff>(0, size - kTail));
   std::vector<std::string> lines;
   for (std::string line; std::getline(stream, line);)
-    if (!line.empty()) lines.push_back(line);
+    if (!line.empty() && !line.starts_with(kLogHeader)) lines.push_back(line);
   std::string joined;
   for (std::size_t i = lines.size() > count ? lines.size() - count : 0; i < lines.size(); ++i)
     joined += (joined.empty() ? "" : " | ") + lines[i];

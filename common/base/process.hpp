@@ -9,6 +9,8 @@
 #include <string>
 #include <vector>
 
+#include "common/base/scratch_folder.hpp"
+
 namespace pleat {
 
 /// A child with its output in a file. It has a process group of its own, so that Ctrl-C on the terminal reaches the
@@ -40,26 +42,21 @@ class ChildProcess {
   std::string end_reason_;
 };
 
-/// A folder of mode 0700 with a short path, below $XDG_RUNTIME_DIR or /tmp, removed with the object. A process that
-/// was killed leaves its folder behind; the next one that makes a folder removes it (an flock tells the living).
-class PrivateFolder {
+/// A scratch folder with a short path, below $XDG_RUNTIME_DIR or /tmp.
+class PrivateFolder : public ScratchFolder {
  public:
   PrivateFolder();
-  ~PrivateFolder();
-  PrivateFolder(const PrivateFolder&) = delete;
-  PrivateFolder& operator=(const PrivateFolder&) = delete;
-
-  const std::filesystem::path& path() const { return path_; }
-
- private:
-  std::filesystem::path path_;
-  int lock_ = -1;
 };
+
+/// Begins the log of a program anew: its first line is "log of PROGRAM". Throws kAlreadyExists if what lies there is no
+/// such log, kInvalidArgument if it can't be written.
+void begin_log(const std::filesystem::path& log, const std::string& program);
 
 /// The folder that this executable lies in.
 std::filesystem::path executable_folder();
 
-/// The last `count` lines that are not empty, joined by " | "; empty if there is no such file. Reads 8 KiB at most.
+/// The last `count` lines that are neither empty nor the first of begin_log, joined by " | "; empty if there is no such
+/// file. Reads 8 KiB at most.
 std::string last_lines(const std::filesystem::path& file, std::size_t count);
 
 }  // namespace pleat

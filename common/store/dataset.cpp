@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <sstream>
 
+#include "common/base/own_file.hpp"
 #include "common/store/hdf5.hpp"
 #include "common/store/recording.hpp"
 
@@ -43,6 +44,7 @@ void write_dataset_master(const std::filesystem::path& folder, const DatasetMast
   const std::filesystem::path path = folder / "dataset.h5";
   const std::filesystem::path partial = path.string() + ".partial";
   const auto lock = hdf5::lock();
+  require_absent_or(hdf5::is_own(path), path);
   hdf5::File file = hdf5::File::create(partial);
   file.set_attribute("/", "format", std::string(kDatasetFormat));
   file.set_attribute("/", "version", std::uint64_t{kStoreVersion});

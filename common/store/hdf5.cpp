@@ -4,6 +4,8 @@
 #include <cerrno>
 #include <system_error>
 
+#include "common/base/own_file.hpp"
+
 namespace pleat::hdf5 {
 namespace {
 
@@ -75,10 +77,27 @@ void fail(ErrorCode code, const std::filesystem::path& path, const std::string& 
   throw Error(cause.full ? ErrorCode::kResourceExhausted : code, message);
 }
 
+bool is_own(const std::filesystem::path& path) {
+  std::error_code ignored;
+  if (!std::filesystem::is_regular_file(std::filesystem::symlink_status(path, ignored))) return false;
+  const auto lock = hdf5::lock();
+  try {
+    return File::open(path, false).string_attribute("/", "format").starts_with("pleat.");
+  } catch (const Error&) {
+    return false;
+  }
+}
+
 File File::create(const std::filesystem::path& path) {
+  std::error_code ignored;
+  if (is_own(path)) {
+    std::filesystem::remove(path, ignored);  // of a process that was killed
+  } else {
+    set_aside(path);
+  }
   const Handle access = access_properties(true);
   const Handle creation = properties(H5P_FILE_CREATE);
-  Handle file(H5Fcreate(path.c_str(), H5F_ACC_TRUNC, creation.get(), access.get()), H5Fclose);
+  Handle file(H5Fcreate(path.c_str(), H5F_ACC_EXCL, creation.get(), access.get()), H5Fclose);
   if (!file) fail(ErrorCode::kInvalidArgument, path, "can't be created");
   return {path, std::move(file)};
 }

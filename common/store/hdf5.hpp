@@ -60,10 +60,14 @@ class Rows {
   Handle dataset_;
 };
 
+/// Whether `path` is a file of ours (a link is none): HDF5 whose attribute `format` begins with "pleat.".
+bool is_own(const std::filesystem::path& path);
+
 /// An open file and what is done with it. Not thread-safe without lock().
 class File {
  public:
-  /// A new file (an existing one is replaced), for recording: data go to the system at every write.
+  /// A new file, for recording: data go to the system at every write. One that is there already is replaced if it is
+  /// ours (is_own), set aside (set_aside) otherwise.
   static File create(const std::filesystem::path& path);
   /// Throws kNotFound, kInvalidArgument (not HDF5), kDataLoss (truncated).
   static File open(const std::filesystem::path& path, bool writable);

@@ -7,6 +7,8 @@
 #include <cstdio>
 #include <numeric>
 
+#include "common/base/own_file.hpp"
+
 namespace pleat::store {
 namespace {
 
@@ -281,14 +283,16 @@ Recording::Recording(Plan plan) : plan_(std::move(plan)), partial_(plan_.path.st
     }
   }
   const auto lock = hdf5::lock();
-  std::error_code error;
-  if (std::filesystem::exists(partial_, error)) lock_ = std::make_unique<FileLock>(partial_);
+  require_absent_or(hdf5::is_own(plan_.path), plan_.path);
+  const bool own = hdf5::is_own(partial_);
+  if (own) lock_ = std::make_unique<FileLock>(partial_);
   if (!plan_.resume || !try_resume()) {
     // Made under another name first: a .partial is whole from its first moment.
     const std::filesystem::path fresh = partial_.string() + ".new";
     file_.emplace(hdf5::File::create(fresh));
     make(*file_, plan_.frames, false);
     file_->flush();
+    if (!own) set_aside(partial_);
     lock_ = std::make_unique<FileLock>(fresh);
     file_->rename(partial_);
   }
@@ -378,6 +382,7 @@ void Recording::copy_compressed() {
   const std::filesystem::path packed = plan_.path.string() + ".packed.partial";
   hdf5::File copy = hdf5::File::create(packed);
   make(copy, frames_complete_, true);
+  copy.flush();  // from here on it is known as ours if we are killed
   std::vector<char> row;
   for (std::size_t i = 0; i < plan_.arrays.size(); ++i) {
     const Array& array = plan_.arrays[i];

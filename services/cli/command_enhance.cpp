@@ -3,6 +3,7 @@
 #include <cstdio>
 
 #include "common/base/progress.hpp"
+#include "common/base/scratch_folder.hpp"
 #include "common/mesh/obj.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/enhance_session.hpp"
@@ -40,6 +41,7 @@ int enhance(const EnhanceOptions& options) {
   double frame_time = sequence->frame_time_s() > 0 ? sequence->frame_time_s() : 1 / kDefaultFramesPerSecond;
   if (options.fps > 0) frame_time = 1 / options.fps;
   const fs::path out = options.out;
+  std::optional<ScratchFolder> work;
   std::optional<Launcher> launcher;
   ModelChoice model{options.model, {}};
   if (options.coordinator.empty()) model = choose_model(options.model);
@@ -49,7 +51,8 @@ int enhance(const EnhanceOptions& options) {
     LauncherOptions launch;
     launch.models = model.folder;
     launch.model = model.name;
-    launch.data = out / "services";
+    work.emplace(out, kWorkPrefix);
+    launch.data = work->path();
     launch.logs = out / "logs";
     launcher.emplace(launch);
     address = launcher->coordinator();
@@ -89,11 +92,7 @@ int enhance(const EnhanceOptions& options) {
   const double wall_s = std::chrono::duration<double>(Clock::now() - start).count();
   progress.finish();
   recorder.finish();
-  if (launcher) {
-    launcher->stop();
-    std::error_code ignored;
-    fs::remove_all(out / "services", ignored);
-  }
+  if (launcher) launcher->stop();
   presentation::ReportSummary summary;
   summary.title = fs::path(options.rest).stem().string();
   summary.model = session.model();

@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "common/base/progress.hpp"
+#include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/status.hpp"
@@ -100,10 +101,8 @@ class Run {
       LauncherOptions launch;
       launch.models = model.folder;
       launch.model = model.name;
-      launch.data = out_ / "services";
-      // Jobs of a run that was killed: a coordinator would go on with them.
-      std::error_code ignored;
-      fs::remove_all(launch.data, ignored);
+      work_.emplace(out_, kWorkPrefix);
+      launch.data = work_->path();
       launch.logs = out_ / "logs";
       launcher_.emplace(launch);
       address_ = launcher_->coordinator();
@@ -132,9 +131,14 @@ class Run {
       context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
       rpc::throw_if_failed(stub_->CreateJob(&context, request, &job), peer());
     }
-    job = follow(job, local ? JobSinks{} : remote.sinks());
-    const fs::path kept = local ? take_result(job) : finish_remote(remote, job);
-    if (launcher_) launcher_->stop();
+    try {
+      job = follow(job, local ? JobSinks{} : remote.sinks());
+    } catch (const Error& error) {
+      if (!local) throw;
+      const fs::path kept = take_result(job.id());
+      throw Error(error.code(), error.what() + (kept.empty() ? "" : "; what there is is in " + kept.string()));
+    }
+    const fs::path kept = local ? take_result(job.id()) : finish_remote(remote, job);
     return end(job, kept);
   }
 
@@ -191,22 +195,21 @@ class Run {
     rpc::throw_if_failed(stub_->CancelJob(&context, request, &ignored), peer());
   }
 
-  /// The job's file comes to us; what else the coordinator kept goes. Returns what was kept, if anything.
-  fs::path take_result(const v1::Job& job) {
+  /// The job's file comes to us. Returns what was kept, if anything.
+  fs::path take_result(const std::string& job) {
+    launcher_->stop();
     fs::path kept;
     std::error_code failed;
-    const fs::path source = job.result_path();
+    const fs::path source = work_->path() / "jobs" / job / "result.h5";
     for (const char* ending : {"", ".partial"}) {
       const fs::path from = source.string() + ending;
       const fs::path to = (out_ / "result.h5").string() + ending;
-      if (source.empty() || !fs::is_regular_file(from, failed)) continue;
+      if (!fs::is_regular_file(from, failed)) continue;
       fs::rename(from, to, failed);
       if (failed) throw Error(ErrorCode::kResourceExhausted, to.string() + ": " + failed.message());
       kept = to;
       break;
     }
-    launcher_->stop();
-    fs::remove_all(out_ / "services", failed);
     return kept;
   }
 
@@ -238,6 +241,7 @@ class Run {
   RunOptions options_;
   fs::path out_;
   std::string address_;
+  std::optional<ScratchFolder> work_;  // after the services' end it goes, with what they kept
   std::optional<Launcher> launcher_;
   std::shared_ptr<grpc::Channel> channel_;
   std::unique_ptr<v1::Coordinator::Stub> stub_;

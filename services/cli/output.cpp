@@ -1,17 +1,22 @@
 #include "services/cli/output.hpp"
 
-#include <unistd.h>
-
 #include <cstdio>
 
 #include "common/base/error.hpp"
 #include "common/base/machine.hpp"
+#include "common/base/own_file.hpp"
+#include "common/store/hdf5.hpp"
 #include "services/cli/launcher/launcher.hpp"
 
 namespace pleat::cli {
 namespace {
 
 namespace fs = std::filesystem;
+
+// The second of the page: in those of versions before its first.
+constexpr std::string_view kReportMarks[] = {"\"format\": \"pleat.report\"",
+                                             "<meta name=\"generator\" content=\"pleat.report\">",
+                                             "<div class=\"brand\">\n    <svg viewBox=\"0 0 28 28\""};
 
 bool has_bundle(const fs::path& folder) {
   std::error_code ignored;
@@ -23,11 +28,11 @@ bool has_bundle(const fs::path& folder) {
 }  // namespace
 
 void make_output_folder(const fs::path& folder) {
-  std::error_code failed;
-  fs::create_directories(folder, failed);
-  if (failed) throw_invalid_argument(folder.string() + ": can't be made: " + failed.message());
-  if (!fs::is_directory(folder)) throw_invalid_argument(folder.string() + ": not a folder");
-  if (::access(folder.c_str(), W_OK) != 0) throw_invalid_argument(folder.string() + ": can't be written");
+  make_writable_folder(folder);
+  for (const char* name : {"result.h5", "result.h5.partial"}) {
+    require_absent_or(hdf5::is_own(folder / name), folder / name);
+  }
+  for (const char* name : {"report.json", "report.html"}) require_replaceable(folder / name, kReportMarks);
 }
 
 void write_reports(const fs::path& folder, presentation::ReportSummary summary) {

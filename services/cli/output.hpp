@@ -8,7 +8,8 @@
 
 namespace pleat::cli {
 
-/// Makes the folder. Throws kInvalidArgument if it can't be made or written; it is named.
+/// Makes the folder, and makes sure that result and report take no other file's place. Throws kInvalidArgument if it
+/// can't be made or written, kAlreadyExists for a file there that is no result or report; it is named.
 void make_output_folder(const std::filesystem::path& folder);
 
 /// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout.

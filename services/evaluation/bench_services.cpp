@@ -5,6 +5,7 @@
 #include <random>
 #include <thread>
 
+#include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
 #include "common/base/statistics.hpp"
 #include "common/frame/messages.hpp"
@@ -122,7 +123,9 @@ Figures bench_pipeline(const BenchOptions& options) {
   }
   cli::LauncherOptions launch;
   launch.models = options.models;
-  launch.data = options.out / "services";
+  std::filesystem::create_directories(options.out);
+  const ScratchFolder work(options.out, cli::kWorkPrefix);
+  launch.data = work.path();
   launch.logs = options.out / "logs";
   cli::Launcher launcher(launch);
   const auto channel = rpc::create_channel(launcher.coordinator());
@@ -153,8 +156,6 @@ Figures bench_pipeline(const BenchOptions& options) {
         share.push_back(1 - stages / ms);
       });
   launcher.stop();
-  std::error_code ignored;
-  fs::remove_all(options.out / "services", ignored);
   return {{"frames_per_s", {rate, 1, "1/s"}},
           {"latency", {median(latency), latency.size(), "ms"}},
           {"transport_share", {median(share), share.size(), "1"}}};

@@ -23,6 +23,7 @@ constexpr std::chrono::seconds kStartTimeout{120}, kStopTimeout{10};
 SuperresProcess::SuperresProcess(const fs::path& models, const std::string& precision, const fs::path& log)
     : address_("unix:" + (folder_.path() / "superres.sock").string()) {
   if (log.has_parent_path()) fs::create_directories(log.parent_path());
+  begin_log(log, "pleat-superres");
   process_.emplace(executable_folder() / "pleat-superres",
                    std::vector<std::string>{"--listen", address_, "--die-with-parent", "--models",
                                             (models.empty() ? cli::default_models_folder() : models).string(),

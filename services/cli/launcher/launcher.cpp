@@ -91,7 +91,7 @@ Launcher::Launcher(LauncherOptions options) : options_(std::move(options)) {
     service.address = "unix:" + (sockets_.path() / (service.name + ".sock")).string();
     if (service.name == "coordinator" && !options_.listen.empty()) service.address = options_.listen;
     services_.push_back(service);
-    fs::remove(options_.logs / (service.name + ".log"), failed);  // of an earlier run
+    begin_log(options_.logs / (service.name + ".log"), "pleat-" + service.name);
   }
   running_.reserve(services_.size());
   for (std::size_t i = 0; i < services_.size(); ++i) start_service(i);

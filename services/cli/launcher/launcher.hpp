@@ -11,6 +11,10 @@
 
 namespace pleat::cli {
 
+/// Name of the scratch folder that the services of one run keep their files in: inside the run's output folder, so that
+/// a result moves out of it without being copied.
+inline constexpr const char* kWorkPrefix = ".pleat-work";
+
 struct LauncherOptions {
   std::filesystem::path executables = executable_folder();  ///< where pleat-simulation and the others lie
   std::filesystem::path models;                             ///< bundles; empty: default_models_folder()

@@ -99,18 +99,30 @@ TEST_F(ProcessTest, ThePrivateFolderIsPrivateShortAndRemoved) {
   EXPECT_FALSE(fs::exists(path));
 }
 
-TEST_F(ProcessTest, AStaleFolderIsRemovedAndALivingOneKept) {
+TEST_F(ProcessTest, ForeignFoldersBesideThePrivateOneAreKept) {
   ASSERT_EQ(::setenv("XDG_RUNTIME_DIR", folder_.c_str(), 1), 0);
-  const fs::path stale = folder_ / "pleat-stale0";
-  fs::create_directory(stale);
-  std::ofstream(stale / "lock") << "";
-  const PrivateFolder living;
-  for (const fs::path& path : {stale, living.path()})
-    fs::last_write_time(path, fs::file_time_type::clock::now() - std::chrono::hours(1));
-  const PrivateFolder next;
-  EXPECT_FALSE(fs::exists(stale));
-  EXPECT_TRUE(fs::exists(living.path()));
+  const fs::path project = folder_ / "pleat-project";
+  fs::create_directory(project);
+  std::ofstream(project / "lock") << "";
+  std::ofstream(project / "precious.txt") << "mine";
+  fs::last_write_time(project, fs::file_time_type::clock::now() - std::chrono::hours(1));
+  { const PrivateFolder folder; }
+  EXPECT_TRUE(fs::exists(project / "precious.txt"));
   ::unsetenv("XDG_RUNTIME_DIR");
+}
+
+TEST_F(ProcessTest, ALogReplacesOneOfItsProgramOnly) {
+  begin_log(log_, "pleat-example");
+  EXPECT_EQ(last_lines(log_, 1), "");
+  std::ofstream(log_, std::ios::app) << "of the first run\n";
+  begin_log(log_, "pleat-example");
+  EXPECT_EQ(last_lines(log_, 5), "");
+  const fs::path precious = folder_ / "precious.log", link = folder_ / "link.log";
+  std::ofstream(precious) << "mine\n";
+  fs::create_symlink(log_, link);
+  for (const fs::path& path : {precious, link, folder_}) EXPECT_THROW(begin_log(path, "pleat-example"), Error) << path;
+  EXPECT_THROW(begin_log(log_, "pleat-other"), Error);
+  EXPECT_EQ(last_lines(precious, 1), "mine");
 }
 
 }  // namespace

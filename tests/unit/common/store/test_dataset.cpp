@@ -128,6 +128,9 @@ TEST_F(Dataset, NamesTheFileThatIsWrong) {
   const auto path = folder.path() / "dataset.h5";
   std::ofstream(path) << "this is no HDF5 file";
   EXPECT_EQ(code_of([&] { DatasetReader reader(folder.path()); }, path.string()), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(code_of([&] { write_dataset_master(folder.path(), sample_master(meshes, {"a"})); }, path.string()),
+            ErrorCode::kAlreadyExists);
+  std::filesystem::remove(path);
 
   write_dataset_master(folder.path(), sample_master(meshes, {"a", "gone"}));
   write_sequence("a", 3, false);
@@ -142,6 +145,26 @@ TEST_F(Dataset, NamesTheFileThatIsWrong) {
   EXPECT_EQ(code_of([&] { DatasetReader again(folder.path()); }, path.string()), ErrorCode::kDataLoss);
   std::filesystem::resize_file(sequence_file("a"), 700);
   EXPECT_EQ(code_of([&] { reader.coarse("a", 0, 1); }, "a.h5"), ErrorCode::kDataLoss);
+}
+
+TEST_F(Dataset, ForeignFilesInItsWaySurvive) {
+  const auto text_of = [](const std::filesystem::path& path) {
+    std::ifstream file(path);
+    return std::string(std::istreambuf_iterator<char>(file), {});
+  };
+  const auto precious = folder.path() / "precious";
+  std::ofstream(precious) << "mine";
+  std::filesystem::create_directories(folder.path() / "sequences");
+  std::filesystem::create_symlink(precious, folder.path() / "dataset.h5.partial");
+  std::filesystem::create_symlink(precious, sequence_file("a").string() + ".partial.new");
+  std::ofstream(sequence_file("a").string() + ".partial") << "mine too";
+  write_dataset_master(folder.path(), sample_master(meshes, {"a", "b"}));
+  write_sequence("a", 3, true);
+  EXPECT_EQ(text_of(precious), "mine");
+  EXPECT_EQ(text_of(sequence_file("a").string() + ".partial.aside-1"), "mine too");
+  std::ofstream(sequence_file("b")) << "mine";
+  EXPECT_EQ(code_of([&] { write_sequence("b", 3, false); }, "b.h5"), ErrorCode::kAlreadyExists);
+  EXPECT_EQ(text_of(sequence_file("b")), "mine");
 }
 
 TEST_F(Dataset, RefusesOtherFormatsAndVersions) {

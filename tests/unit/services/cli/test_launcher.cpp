@@ -154,6 +154,51 @@ TEST_F(LauncherTest, NamesATakenPort) {
   expect_no_process_remains();
 }
 
+TEST_F(LauncherTest, ForeignFilesInAnOutputFolderSurvive) {
+  const fs::path out = folder_ / "out";
+  const std::string garment =
+      "v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 2/2 4/4 3/3\n";
+  std::ofstream(folder_ / "cloth.obj") << garment;
+  std::ofstream(folder_ / "material.json") << "{}";
+  std::ofstream(folder_ / "scene.json") << R"({"garment_file": "cloth.obj", "material_file": "material.json"})";
+  std::ofstream(folder_ / "models" / "draping.pt") << "x";
+  std::vector<fs::path> kept;
+  for (const char* name : {"services/precious.txt", "services/jobs/a/job.json", "logs/notes.txt", "report.json.tmp",
+                           "result.h5.partial.new", ".pleat-work-mine/precious.txt"}) {
+    kept.push_back(out / name);
+    fs::create_directories(kept.back().parent_path());
+    std::ofstream(kept.back()) << "mine";
+  }
+  auto variables = environment();
+  variables["PLEAT_MODELS"] = (folder_ / "models").string();
+  const std::vector<std::vector<std::string>> commands = {
+      {"run", (folder_ / "scene.json").string(), "--out", out.string()},
+      {"enhance", "--rest", (folder_ / "cloth.obj").string(), "--frames", (folder_ / "cloth.obj").string(), "--out",
+       out.string()}};
+  for (const auto& command : commands) {
+    EXPECT_EQ(run(pleat(), command, output(), variables).exit_code, 1);  // the services only answer health checks
+    EXPECT_TRUE(fs::exists(out / "logs" / "coordinator.log"));
+    for (const fs::path& path : kept) EXPECT_TRUE(fs::exists(path) && fs::file_size(path) == 4) << path;
+    // Nothing of the run's own is left.
+    for (const auto& entry : fs::directory_iterator(out)) {
+      const std::string name = entry.path().filename();
+      EXPECT_TRUE(!name.starts_with(".pleat-work-") || name == ".pleat-work-mine") << name;
+    }
+    // Files in the place of the results are refused before anything begins.
+    for (const char* name : {"result.h5", "result.h5.partial", "report.json", "report.html", "logs/superres.log"}) {
+      const fs::path path = out / name;
+      fs::remove(path);
+      std::ofstream(path) << "mine";
+      const Outcome outcome = run(pleat(), command, output(), variables);
+      EXPECT_EQ(outcome.exit_code, 2) << name;
+      ASSERT_EQ(outcome.error_lines().size(), 1u) << outcome.err;
+      EXPECT_THAT(outcome.err, HasSubstr(path.string() + ": is there and was not made by Pleat"));
+      EXPECT_EQ(fs::file_size(path), 4u);
+      fs::remove(path);
+    }
+  }
+}
+
 TEST_F(LauncherTest, FindsAFreePort) {
   Background program(pleat(), up({"--listen", "127.0.0.1:0"}), output(), environment());
   const std::string ready = program.wait_for_line("ready ");
