@@ -1,14 +1,19 @@
 #include "common/mesh/obj.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <cstdio>
 #include <fstream>
-#include <memory>
+#include <span>
+#include <streambuf>
 #include <string_view>
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/base/text_file.hpp"
+#include "common/base/whole_file.hpp"
+#include "common/mesh/triangulate.hpp"
 
 namespace pleat {
 namespace {
@@ -19,64 +24,139 @@ struct Corner {
 };
 constexpr std::uint32_t kNoUv = 0xffffffffu;
 
+/// Lines as the format means them: ends of line of any system, a backslash at the end joins the next one, comments are
+/// no lines, marks of byte order are no characters.
+class LogicalLines {
+ public:
+  LogicalLines(std::istream& stream, const std::string& name) : buffer_(*stream.rdbuf()), name_(name) {}
+
+  /// False at the end of the file. number(): of the physical line that it begins in.
+  bool next(std::string& line) {
+    line.clear();
+    begin_ = end_ + 1;
+    while (physical(line)) {
+      ++end_;
+      const auto last = line.find_last_not_of(" \t");
+      if (last == std::string::npos || line[last] != '\\' || is_comment(line)) return true;
+      line.resize(last);
+      line += ' ';
+    }
+    return !line.empty();
+  }
+  std::size_t number() const { return begin_; }
+
+ private:
+  static bool is_comment(const std::string& line) {
+    const auto first = line.find_first_not_of(" \t");
+    return first != std::string::npos && line[first] == '#';
+  }
+
+  /// Appends a line of the file; false if there is none.
+  bool physical(std::string& line) {
+    const std::size_t start = line.size();
+    int c = buffer_.sbumpc();
+    if (c == EOF) return false;
+    for (; c != EOF && c != '\n' && c != '\r'; c = buffer_.sbumpc()) line += static_cast<char>(c);
+    if (c == '\r' && buffer_.sgetc() == '\n') buffer_.sbumpc();
+    if (end_ == 0) check_text(line, name_);
+    while (std::string_view(line).substr(start).starts_with(kByteOrderMark)) line.erase(start, kByteOrderMark.size());
+    return true;
+  }
+
+  std::streambuf& buffer_;
+  const std::string& name_;
+  std::size_t begin_ = 0, end_ = 0;
+};
+
+/// What the statements of a file say; polygons are whole.
+struct Statements {
+  std::vector<float> positions, uv;
+  std::vector<Corner> corners;
+  std::vector<std::size_t> ends;   ///< of each polygon's corners
+  std::vector<std::size_t> lines;  ///< where each polygon lies
+  std::string without_uv;          ///< "line 12, object 'prop'": the first corner without material coordinates, if any
+};
+
 class Reader {
  public:
   Reader(std::istream& stream, std::string name, const ObjLimits& limits)
-      : stream_(stream), name_(std::move(name)), limits_(limits) {}
+      : name_(std::move(name)), lines_(stream, name_), limits_(limits) {}
 
-  Topology read() {
+  Statements read() {
     std::string line;
-    while (std::getline(stream_, line)) {
-      ++line_;
+    while (lines_.next(line)) {
       rest_ = line;
       const std::string_view keyword = next_word();
       if (keyword == "v") {
-        read_floats(3, positions_);
-        check_limit(positions_.size() / 3, limits_.max_vertices, "vertices");
+        read_floats(3, 3, out_.positions);
+        check_limit(out_.positions.size() / 3, limits_.max_vertices, "vertices");
       } else if (keyword == "vt") {
-        read_floats(2, uv_);
-        check_limit(uv_.size() / 2, limits_.max_vertices, "material coordinates");
-      } else if (keyword == "f") {
+        read_floats(2, 1, out_.uv);
+        check_limit(out_.uv.size() / 2, limits_.max_vertices, "material coordinates");
+      } else if (keyword == "f" || keyword == "fo") {
         read_face();
+      } else if (keyword == "o" || keyword == "g") {
+        object_ = next_word();
+      } else {
+        check_ignored(keyword);
       }
     }
-    if (stream_.bad()) throw_data_loss(name_ + ": reading failed after line " + std::to_string(line_));
-    return finish();
+    return std::move(out_);
   }
 
  private:
   [[noreturn]] void fail(const std::string& message) const {
-    throw_invalid_argument(name_ + ":" + std::to_string(line_) + ": " + message);
+    throw_invalid_argument(name_ + ":" + std::to_string(lines_.number()) + ": " + message);
   }
 
   void check_limit(std::size_t count, std::size_t limit, const char* what) const {
     if (count > limit) {
       throw Error(ErrorCode::kResourceExhausted,
-                  name_ + ":" + std::to_string(line_) + ": more than " + std::to_string(limit) + " " + what);
+                  name_ + ":" + std::to_string(lines_.number()) + ": more than " + std::to_string(limit) + " " + what);
     }
   }
 
+  /// Statements that say nothing about the shape are words. Anything else is a damaged line, and what it said is lost.
+  void check_ignored(std::string_view keyword) const {
+    if (keyword.empty() || keyword.front() == '#') return;
+    const auto is_letter = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); };
+    const auto in_word = [&](char c) { return is_letter(c) || (c >= '0' && c <= '9') || c == '_' || c == '-'; };
+    const bool is_word = is_letter(keyword.front()) && std::all_of(keyword.begin(), keyword.end(), in_word);
+    const bool is_data = keyword == "V" || keyword == "F" || keyword == "VT";
+    const bool runs_on = keyword.size() > 1 && (keyword[0] == 'v' || keyword[0] == 'f') && !is_letter(keyword[1]);
+    if (is_word && !is_data && !runs_on) return;
+    fail("expected a statement, found '" + std::string(keyword.substr(0, 40)) + "'");
+  }
+
   std::string_view next_word() {
-    const auto begin = rest_.find_first_not_of(" \t\r");
+    const auto begin = rest_.find_first_not_of(" \t");
     if (begin == std::string_view::npos) return rest_ = {};
-    auto end = rest_.find_first_of(" \t\r", begin);
+    auto end = rest_.find_first_of(" \t", begin);
     if (end == std::string_view::npos) end = rest_.size();
     const std::string_view word = rest_.substr(begin, end - begin);
     rest_.remove_prefix(end);
     return word;
   }
 
-  void read_floats(int count, std::vector<float>& out) {
+  /// `count` numbers, of which all but the first `needed` may be absent and are then 0.
+  void read_floats(int count, int needed, std::vector<float>& out) {
     for (int i = 0; i < count; ++i) {
       std::string_view word = next_word();
-      if (!word.empty() && word.front() == '+') word.remove_prefix(1);
-      float value = 0;
+      if (word.empty() && i >= needed) {
+        out.push_back(0);
+        continue;
+      }
+      const bool sign = word.size() > 1 && word.front() == '+' && word[1] != '-';
+      if (sign) word.remove_prefix(1);
+      double value = 0;  // numbers too small for a float are zero
       const auto result = std::from_chars(word.data(), word.data() + word.size(), value);
-      if (word.empty() || result.ec != std::errc{} || result.ptr != word.data() + word.size()) {
+      const auto narrow = static_cast<float>(value);
+      if (word.empty() || result.ec != std::errc{} || result.ptr != word.data() + word.size() ||
+          (std::isfinite(value) && !std::isfinite(narrow))) {
         fail("expected a number, found '" + std::string(word.substr(0, 40)) + "'");
       }
-      if (!std::isfinite(value)) fail("a coordinate is not finite");
-      out.push_back(value);
+      if (!std::isfinite(narrow)) fail("a coordinate is not finite");
+      out.push_back(narrow);
     }
   }
 
@@ -95,64 +175,162 @@ class Reader {
   }
 
   void read_face() {
-    polygon_.clear();
-    for (std::string_view word = next_word(); !word.empty(); word = next_word()) {
+    std::vector<Corner>& corners = out_.corners;
+    const std::size_t begin = corners.size();
+    for (std::string_view word = next_word(); !word.empty() && word.front() != '#'; word = next_word()) {
       const auto slash = word.find('/');
-      Corner corner{read_index(word.substr(0, slash), positions_.size() / 3, "vertex"), kNoUv};
+      Corner corner{read_index(word.substr(0, slash), out_.positions.size() / 3, "vertex"), kNoUv};
       if (slash != std::string_view::npos) {
         const std::string_view after = word.substr(slash + 1);
         const std::string_view uv = after.substr(0, after.find('/'));
-        if (!uv.empty()) corner.uv = read_index(uv, uv_.size() / 2, "material coordinate");
+        if (!uv.empty()) corner.uv = read_index(uv, out_.uv.size() / 2, "material coordinate");
       }
-      (corner.uv == kNoUv ? without_uv_ : with_uv_) = true;
-      polygon_.push_back(corner);
+      if (corner.uv == kNoUv && out_.without_uv.empty()) {
+        out_.without_uv = "line " + std::to_string(lines_.number());
+        if (!object_.empty()) out_.without_uv += ", object '" + object_.substr(0, 60) + "'";
+      }
+      // A corner that comes twice in a row bounds nothing.
+      if (corners.size() == begin || corners.back().vertex != corner.vertex) corners.push_back(corner);
     }
-    if (polygon_.size() < 3) fail("a face with " + std::to_string(polygon_.size()) + " corners");
-    for (std::size_t i = 2; i < polygon_.size(); ++i) {
-      for (const Corner& corner : {polygon_[0], polygon_[i - 1], polygon_[i]}) corners_.push_back(corner);
+    if (corners.size() > begin + 1 && corners.back().vertex == corners[begin].vertex) corners.pop_back();
+    if (corners.size() < begin + 3) {
+      fail("a face with " + std::to_string(corners.size() - begin) + " different corners");
     }
-    check_limit(corners_.size() / 3, limits_.max_faces, "faces");
+    out_.ends.push_back(corners.size());
+    out_.lines.push_back(lines_.number());
+    check_limit(corners.size() - 2 * out_.ends.size(), limits_.max_faces, "faces");
   }
 
-  Topology finish() {
-    if (with_uv_ && without_uv_)
-      throw_invalid_argument(name_ + ": some face corners have material coordinates (`vt`) and some do not");
-    Topology t;
-    const auto faces = static_cast<Eigen::Index>(corners_.size() / 3);
-    t.rest_positions = Eigen::Map<Positions>(positions_.data(), static_cast<Eigen::Index>(positions_.size() / 3), 3);
-    t.faces.resize(faces, 3);
-    if (with_uv_) {
-      t.uv = Eigen::Map<Uv>(uv_.data(), static_cast<Eigen::Index>(uv_.size() / 2), 2);
-      t.uv_faces.resize(faces, 3);
-    }
-    for (std::size_t i = 0; i < corners_.size(); ++i) {
-      t.faces.data()[i] = corners_[i].vertex;
-      if (with_uv_) t.uv_faces.data()[i] = corners_[i].uv;
-    }
-    validate_topology(t, name_);
-    return t;
-  }
-
-  std::istream& stream_;
   std::string name_;
+  LogicalLines lines_;
   ObjLimits limits_;
-  std::size_t line_ = 0;
   std::string_view rest_;
-  std::vector<float> positions_, uv_;
-  std::vector<Corner> corners_, polygon_;
-  bool with_uv_ = false, without_uv_ = false;
+  std::string object_;
+  Statements out_;
 };
+
+/// The corners of all polygons' triangles.
+std::vector<Corner> cut_polygons(const Statements& file, const std::string& name) {
+  const std::size_t vertices = file.positions.size() / 3;
+  std::vector<Corner> corners;
+  std::vector<Eigen::Vector3f> points;
+  std::size_t begin = 0;
+  for (std::size_t p = 0; p < file.ends.size(); begin = file.ends[p++]) {
+    const std::span<const Corner> polygon(file.corners.data() + begin, file.ends[p] - begin);
+    if (polygon.size() == 3) {
+      corners.insert(corners.end(), polygon.begin(), polygon.end());
+      continue;
+    }
+    points.clear();
+    for (const Corner& corner : polygon) {
+      if (corner.vertex >= vertices) {
+        throw_invalid_argument(name + ":" + std::to_string(file.lines[p]) + ": a face names index " +
+                               std::to_string(corner.vertex) + ", but there are " + std::to_string(vertices) +
+                               " vertices");
+      }
+      points.emplace_back(file.positions.data() + 3 * std::size_t{corner.vertex});
+    }
+    const auto triangles = triangulate(points);
+    if (!triangles) {
+      throw_invalid_argument(name + ":" + std::to_string(file.lines[p]) + ": the polygon of " +
+                             std::to_string(polygon.size()) + " corners crosses itself");
+    }
+    for (const auto& triangle : *triangles) {
+      for (const std::uint32_t k : triangle) corners.push_back(polygon[k]);
+    }
+  }
+  return corners;
+}
+
+Topology to_topology(Statements file, const std::string& name, ObjUse use) {
+  const bool with_uv = use == ObjUse::kGarment && std::any_of(file.corners.begin(), file.corners.end(),
+                                                              [](const Corner& c) { return c.uv != kNoUv; });
+  if (with_uv && !file.without_uv.empty()) {
+    throw_invalid_argument(
+        name + ": some face corners have material coordinates (`vt`) and some do not, the first at " + file.without_uv);
+  }
+  const std::vector<Corner> corners = cut_polygons(file, name);
+  Topology t;
+  const auto faces = static_cast<Eigen::Index>(corners.size() / 3);
+  t.rest_positions =
+      Eigen::Map<Positions>(file.positions.data(), static_cast<Eigen::Index>(file.positions.size() / 3), 3);
+  t.faces.resize(faces, 3);
+  if (with_uv) {
+    t.uv = Eigen::Map<Uv>(file.uv.data(), static_cast<Eigen::Index>(file.uv.size() / 2), 2);
+    t.uv_faces.resize(faces, 3);
+  }
+  for (std::size_t i = 0; i < corners.size(); ++i) {
+    t.faces.data()[i] = corners[i].vertex;
+    if (with_uv) t.uv_faces.data()[i] = corners[i].uv;
+  }
+  validate_topology(t, name);
+  return t;
+}
+
+std::ifstream open_obj(const std::filesystem::path& path) {
+  std::ifstream stream(path, std::ios::binary);
+  std::error_code ignored;
+  if (!stream || std::filesystem::is_directory(path, ignored)) throw_not_found(path.string() + ": can't be read");
+  return stream;
+}
+
+/// Whether the polygon's corners are those of the triangles [first, first + n - 2).
+bool covers(std::span<const Corner> polygon, const Faces& triangles, Eigen::Index first) {
+  const auto count = static_cast<Eigen::Index>(polygon.size()) - 2;
+  if (count > triangles.rows() - first) return false;
+  if (count == 1) {
+    // Any of the three corners may come first.
+    for (int shift = 0; shift < 3; ++shift) {
+      bool equal = true;
+      for (int k = 0; k < 3; ++k)
+        equal = equal && polygon[static_cast<std::size_t>((k + shift) % 3)].vertex == triangles(first, k);
+      if (equal) return true;
+    }
+    return false;
+  }
+  std::vector<std::uint32_t> left, right;
+  for (const Corner& corner : polygon) left.push_back(corner.vertex);
+  for (Eigen::Index f = first; f < first + count; ++f) {
+    for (int k = 0; k < 3; ++k) right.push_back(triangles(f, k));
+  }
+  for (auto* list : {&left, &right}) {
+    std::sort(list->begin(), list->end());
+    list->erase(std::unique(list->begin(), list->end()), list->end());
+  }
+  return left == right;
+}
 
 }  // namespace
 
-Topology read_obj(std::istream& stream, const std::string& name, const ObjLimits& limits) {
-  return Reader(stream, name, limits).read();
+Topology read_obj(std::istream& stream, const std::string& name, ObjUse use, const ObjLimits& limits) {
+  return to_topology(Reader(stream, name, limits).read(), name, use);
 }
 
-Topology read_obj(const std::filesystem::path& path, const ObjLimits& limits) {
-  std::ifstream stream(path);
-  if (!stream || std::filesystem::is_directory(path)) throw_not_found(path.string() + ": can't be read");
-  return read_obj(stream, path.string(), limits);
+Topology read_obj(const std::filesystem::path& path, ObjUse use, const ObjLimits& limits) {
+  std::ifstream stream = open_obj(path);
+  return read_obj(stream, path.string(), use, limits);
+}
+
+Positions read_obj_frame(const std::filesystem::path& path, const Topology& rest, const ObjLimits& limits) {
+  std::ifstream stream = open_obj(path);
+  const Statements file = Reader(stream, path.string(), limits).read();
+  const auto vertices = static_cast<Eigen::Index>(file.positions.size() / 3);
+  if (vertices != rest.vertex_count()) {
+    throw_invalid_argument(path.string() + " has " + std::to_string(vertices) + " vertices, the rest mesh " +
+                           std::to_string(rest.vertex_count()));
+  }
+  std::size_t begin = 0;
+  Eigen::Index face = 0;
+  for (std::size_t p = 0; p < file.ends.size(); begin = file.ends[p++]) {
+    const std::span<const Corner> polygon(file.corners.data() + begin, file.ends[p] - begin);
+    if (!covers(polygon, rest.faces, face)) {
+      throw_invalid_argument(path.string() + ":" + std::to_string(file.lines[p]) +
+                             ": its faces are not those of the rest mesh");
+    }
+    face += static_cast<Eigen::Index>(polygon.size()) - 2;
+  }
+  if (face != rest.face_count()) throw_invalid_argument(path.string() + ": its faces are not those of the rest mesh");
+  return Eigen::Map<const Positions>(file.positions.data(), vertices, 3);
 }
 
 void write_obj(const std::filesystem::path& path, const Topology& topology) {
@@ -164,31 +342,30 @@ void write_obj(const std::filesystem::path& path, const Topology& topology, cons
     throw_invalid_argument(path.string() + ": " + std::to_string(positions.rows()) + " positions for a mesh of " +
                            std::to_string(topology.vertex_count()) + " vertices");
   }
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "w"), &std::fclose);
-  if (!file) throw_invalid_argument(path.string() + ": can't be opened for writing");
+  WholeFile file(path);
+  file.write(kObjMark);
+  file.write("\n");
   for (Eigen::Index v = 0; v < positions.rows(); ++v) {
-    std::fprintf(file.get(), "v %.9g %.9g %.9g\n", static_cast<double>(positions(v, 0)),
+    std::fprintf(file.stream(), "v %.9g %.9g %.9g\n", static_cast<double>(positions(v, 0)),
                  static_cast<double>(positions(v, 1)), static_cast<double>(positions(v, 2)));
   }
   for (Eigen::Index u = 0; u < topology.uv.rows(); ++u) {
-    std::fprintf(file.get(), "vt %.9g %.9g\n", static_cast<double>(topology.uv(u, 0)),
+    std::fprintf(file.stream(), "vt %.9g %.9g\n", static_cast<double>(topology.uv(u, 0)),
                  static_cast<double>(topology.uv(u, 1)));
   }
   const bool with_uv = topology.uv_faces.rows() > 0;
   for (Eigen::Index f = 0; f < topology.face_count(); ++f) {
-    std::fputc('f', file.get());
+    std::fputc('f', file.stream());
     for (int k = 0; k < 3; ++k) {
       if (with_uv) {
-        std::fprintf(file.get(), " %u/%u", topology.faces(f, k) + 1, topology.uv_faces(f, k) + 1);
+        std::fprintf(file.stream(), " %u/%u", topology.faces(f, k) + 1, topology.uv_faces(f, k) + 1);
       } else {
-        std::fprintf(file.get(), " %u", topology.faces(f, k) + 1);
+        std::fprintf(file.stream(), " %u", topology.faces(f, k) + 1);
       }
     }
-    std::fputc('\n', file.get());
+    std::fputc('\n', file.stream());
   }
-  if (std::fflush(file.get()) != 0 || std::ferror(file.get())) {
-    throw Error(ErrorCode::kResourceExhausted, path.string() + ": writing failed (disk full?)");
-  }
+  file.commit();
 }
 
 }  // namespace pleat

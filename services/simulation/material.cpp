@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <numbers>
-#include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/base/json.hpp"
+#include "common/base/text_file.hpp"
 
 namespace pleat::simulation {
 namespace {
@@ -38,12 +38,7 @@ void read_table(const json& value, const std::string& what, std::array<std::arra
 }  // namespace
 
 Material parse_material(std::string_view text, const std::string& name) {
-  json document;
-  try {
-    document = json::parse(text);
-  } catch (const json::exception& e) {
-    throw_invalid_argument(name + ": not JSON: " + e.what());
-  }
+  const json document = parse_json(text, name);
   if (!document.is_object()) throw_invalid_argument(name + ": a material is a JSON object");
   for (const char* key : {"density", "stretching", "bending"}) {
     if (!document.contains(key)) throw_invalid_argument(name + ": key '" + key + "' is missing");
@@ -66,11 +61,7 @@ Material parse_material(std::string_view text, const std::string& name) {
 }
 
 Material read_material(const std::filesystem::path& path) {
-  std::ifstream file(path);
-  if (!file || std::filesystem::is_directory(path)) throw_not_found(path.string() + ": can't be read");
-  std::ostringstream text;
-  text << file.rdbuf();
-  return parse_material(text.str(), path.string());
+  return parse_material(read_text_file(path), path.string());
 }
 
 Material isotropic_material(const IsotropicConstants& constants, const std::string& name) {

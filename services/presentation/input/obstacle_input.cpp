@@ -48,7 +48,7 @@ ObstacleInput::ObstacleInput(const std::vector<std::string>& texts) {
     } else {
       const auto at = text.find('@');
       const std::filesystem::path file = text.substr(0, at);
-      const Topology mesh = read_obj(file);
+      const Topology mesh = read_obj(file, ObjUse::kObstacle);
       if (mesh.face_count() == 0) throw_invalid_argument(file.string() + ": an obstacle needs faces");
       obstacle.shape.faces = mesh.faces;
       obstacle.rest.positions = mesh.rest_positions;

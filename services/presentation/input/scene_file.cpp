@@ -3,14 +3,14 @@
 #include <google/protobuf/util/json_util.h>
 
 #include <cmath>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <regex>
 #include <set>
-#include <sstream>
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/json.hpp"
+#include "common/base/text_file.hpp"
 #include "common/frame/messages.hpp"
 #include "common/mesh/mesh.hpp"
 #include "common/mesh/obj.hpp"
@@ -21,17 +21,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::uintmax_t kMaxFileBytes = 64u << 20;
-
 std::string read_text(const fs::path& path, const std::string& wanted_by) {
-  std::ifstream stream(path, std::ios::binary);
-  std::error_code ignored;
-  if (!stream || fs::is_directory(path, ignored)) throw_not_found(wanted_by + path.string() + ": can't be read");
-  if (fs::file_size(path, ignored) > kMaxFileBytes)
-    throw Error(ErrorCode::kResourceExhausted, path.string() + ": larger than 64 MiB");
-  std::ostringstream text;
-  text << stream.rdbuf();
-  return text.str();
+  try {
+    return read_text_file(path);
+  } catch (const Error& error) {
+    throw Error(error.code(), wanted_by + error.what());
+  }
 }
 
 /// One line, without protobuf's status prefix: "INVALID_ARGUMENT:(handles[0]) bogus: Cannot find field."
@@ -158,7 +153,7 @@ void inline_obstacle(v1::Obstacle& obstacle, const fs::path& folder, const std::
     const fs::path file = folder / obstacle.mesh_file();
     std::error_code ignored;
     if (!fs::is_regular_file(file, ignored)) throw_not_found(where + ".mesh_file " + file.string() + ": no such file");
-    *obstacle.mutable_mesh() = to_message(read_obj(file));
+    *obstacle.mutable_mesh() = to_message(read_obj(file, ObjUse::kObstacle));
   }
   if (obstacle.animation().file().empty()) return;
   const std::string name = std::exchange(*obstacle.mutable_animation()->mutable_file(), "");
@@ -174,17 +169,10 @@ void inline_obstacle(v1::Obstacle& obstacle, const fs::path& folder, const std::
 
 v1::Scene parse_scene(const std::string& text, const std::string& name, const fs::path& folder) {
   const Checker check(name);
-  nlohmann::json json;
-  try {
-    json = nlohmann::json::parse(text);
-  } catch (const nlohmann::json::parse_error& error) {
-    const std::string what = error.what();
-    const auto line = what.find("line ");
-    check.fail("not JSON: " + (line == std::string::npos ? what : what.substr(line)));
-  }
+  const nlohmann::json json = parse_json(text, name);
   if (!json.is_object()) check.fail("a scene is a JSON object");
   v1::Scene scene;
-  const auto status = google::protobuf::util::JsonStringToMessage(text, &scene);
+  const auto status = google::protobuf::util::JsonStringToMessage(plain_json(text, name), &scene);
   if (!status.ok()) check.fail(json_error(status.ToString()));
   check_explicit_zeros(json, check);
   if (scene.frames() == 0) check.fail("frames is missing");
@@ -208,9 +196,8 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
   }
   if (scene.has_material_file()) {
     const fs::path file = folder / scene.material_file();
-    std::string material = read_text(file, name + ": material_file ");
-    if (!nlohmann::json::accept(material)) throw_invalid_argument(file.string() + ": not JSON");
-    scene.set_material_json(std::move(material));
+    const std::string material = read_text(file, name + ": material_file ");
+    scene.set_material_json(plain_json(material, file.string()));
   } else if (scene.has_isotropic()) {
     check.positive(scene.isotropic().density(), "isotropic.density");
     check.positive(scene.isotropic().youngs_modulus(), "isotropic.youngs_modulus");

@@ -45,14 +45,7 @@ class ObjSequence final : public FrameSequence {
     positions(0);  // a wrong first frame is worth an error before services start
   }
   std::size_t frame_count() const override { return files_.size(); }
-  Positions positions(std::size_t frame) const override {
-    const fs::path& file = files_.at(frame);
-    const Topology mesh = read_obj(file);
-    check_vertex_count(mesh.vertex_count(), rest_, file.string());
-    if (mesh.face_count() != rest_.face_count() || mesh.faces != rest_.faces)
-      throw_invalid_argument(file.string() + ": its faces are not those of the rest mesh");
-    return mesh.rest_positions;
-  }
+  Positions positions(std::size_t frame) const override { return read_obj_frame(files_.at(frame), rest_); }
 
  private:
   std::vector<fs::path> files_;
