@@ -183,9 +183,10 @@ void write_report_html(const ReportInput& input, const std::filesystem::path& pa
   auto stride =
       static_cast<std::size_t>(std::max(1.0, std::ceil(least_bytes / static_cast<double>(options.max_bytes))));
   const std::size_t fixed_bytes = viewer_template().size() + 1000 * input.stages.size();
+  constexpr std::size_t kTagBytes = 100;  // around a blob, with its name
   for (;;) {
     const Payload payload = make_payload(input, report, stride);
-    const std::size_t bytes = payload.bytes() + fixed_bytes;
+    const std::size_t bytes = payload.bytes() + fixed_bytes + kTagBytes * payload.blobs.size();
     if (bytes > options.max_bytes) {
       if (stride >= input.frame_count) {
         throw Error(ErrorCode::kResourceExhausted, path.string() + ": one frame alone needs " + std::to_string(bytes) +

@@ -114,7 +114,7 @@ TEST_F(SequenceInput, RefusesOtherPatterns) {
 TEST_F(SequenceInput, RefusesAnObjOfAnotherTopology) {
   std::ofstream(folder_ / "a.obj") << "v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n";
   expect_error((folder_ / "a.obj").string(), ErrorCode::kInvalidArgument, "3 vertices, the rest mesh 4");
-  std::ofstream(folder_ / "b.obj") << "v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nf 1 3 2\nf 4 2 3\n";
+  std::ofstream(folder_ / "b.obj") << "v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nf 1 3 2\nf 4 3 2\n";
   expect_error((folder_ / "b.obj").string(), ErrorCode::kInvalidArgument, "faces are not those");
 }
 
