@@ -29,7 +29,7 @@ cleanup() {
 }
 trap cleanup EXIT
 deploy/certificates/make-certificates.sh "$certificates" coordinator localhost 127.0.0.1 >/dev/null
-chmod 755 "$certificates" && chmod 644 "$certificates"/*
+chmod 755 "$certificates" && chmod 644 "$certificates"/{ca,server,client}.crt "$certificates"/{server,client}.key
 
 echo "compose-demo: starting the services"
 compose up -d --no-build 2>&1 | tail -n 8
@@ -40,7 +40,8 @@ done
 docker inspect -f '{{.Name}} {{.State.Health.Status}}' $(compose ps -q)
 
 echo "compose-demo: the demo job, against the coordinator"
-docker run --rm --network pleat_pleat --user "$(id -u):$(id -g)" -v "$certificates:/certificates:ro" -v "$out:/out" \
+docker run --rm --network pleat_pleat --user "$(id -u):$(id -g)" -v "$certificates/ca.crt:/certificates/ca.crt:ro" \
+  -v "$certificates/client.crt:/certificates/client.crt:ro" -v "$certificates/client.key:/certificates/client.key:ro" -v "$out:/out" \
   -e PLEAT_TLS_CA=/certificates/ca.crt -e PLEAT_TLS_CERTIFICATE=/certificates/client.crt -e PLEAT_TLS_KEY=/certificates/client.key \
   pleat-cli run /usr/local/share/pleat/deploy/scenes/draping.json --coordinator coordinator:50050 --out /out "$@"
 curl -fsS http://127.0.0.1:9468/metrics 2>/dev/null | grep -c '^pleat_' | sed 's/^/compose-demo: metrics lines of the coordinator: /' || true
