@@ -2,18 +2,17 @@
 
 #include <Eigen/LU>
 #include <algorithm>
-#include <bit>
 #include <cmath>
-#include <cstring>
+#include <span>
 
-#include "common/base/error.hpp"
+#include "common/base/checks.hpp"
 
 namespace pleat {
 namespace {
 
-constexpr int kMaxVertices = 4'000'000;
-constexpr int kMaxFaces = 8'000'000;
-constexpr int kMaxCapsules = 10'000;
+constexpr std::size_t kMaxVertices = 4'000'000;
+constexpr std::size_t kMaxFaces = 8'000'000;
+constexpr std::size_t kMaxCapsules = 10'000;
 constexpr std::uint64_t kMaxTensorValues = 16u << 20;  // 64 MiB of float32, the message limit
 
 template <typename Matrix, typename Scalar>
@@ -22,50 +21,24 @@ void assign(const Matrix& matrix, google::protobuf::RepeatedField<Scalar>* field
   std::copy_n(matrix.data(), matrix.size(), field->mutable_data());
 }
 
-void check_finite(const float* values, std::size_t count, const std::string& field) {
-  // One pass without branches first: a sum of zeros is zero, a NaN or an infinity times zero is a NaN.
-  float sum = 0;
-  for (std::size_t i = 0; i < count; ++i) sum += values[i] * 0.0f;
-  if (sum == 0.0f) return;
-  for (std::size_t i = 0; i < count; ++i) {
-    if (!std::isfinite(values[i])) throw_invalid_argument(field + ": value " + std::to_string(i) + " is not finite");
-  }
-}
-
 template <typename Matrix, typename Scalar>
 Matrix matrix_of(const google::protobuf::RepeatedField<Scalar>& values, const std::string& field) {
   constexpr int columns = Matrix::ColsAtCompileTime;
-  if (values.size() % columns != 0) {
-    throw_invalid_argument(field + ": " + std::to_string(values.size()) + " values, not a multiple of " +
-                           std::to_string(columns));
-  }
+  check_rows(static_cast<std::size_t>(values.size()), columns, field);
   Matrix matrix(values.size() / columns, columns);
   std::copy_n(values.data(), values.size(), matrix.data());
   return matrix;
 }
 
 template <typename Scalar>
-void check_limit(const google::protobuf::RepeatedField<Scalar>& values, int limit, const std::string& field) {
-  if (values.size() > limit) {
-    throw Error(ErrorCode::kResourceExhausted,
-                field + ": " + std::to_string(values.size()) + " values, at most " + std::to_string(limit));
-  }
+std::span<const Scalar> span_of(const google::protobuf::RepeatedField<Scalar>& values) {
+  return {values.data(), static_cast<std::size_t>(values.size())};
 }
 
 Eigen::Vector3f vector_of(const google::protobuf::RepeatedField<float>& values, const std::string& field) {
   if (values.size() != 3) throw_invalid_argument(field + ": " + std::to_string(values.size()) + " values, 3 needed");
-  check_finite(values.data(), 3, field);
+  check_finite(span_of(values), field);
   return {values[0], values[1], values[2]};
-}
-
-float half_to_float(std::uint16_t half) {
-  const std::uint32_t sign = (half & 0x8000u) << 16, exponent = (half >> 10) & 0x1fu, mantissa = half & 0x3ffu;
-  if (exponent == 0x1f) return std::bit_cast<float>(sign | 0x7f800000u | (mantissa << 13));
-  if (exponent == 0) {
-    const float value = std::ldexp(static_cast<float>(mantissa), -24);
-    return sign != 0 ? -value : value;
-  }
-  return std::bit_cast<float>(sign | ((exponent + 112) << 23) | (mantissa << 13));
 }
 
 }  // namespace
@@ -150,8 +123,8 @@ Positions positions_from_message(const google::protobuf::RepeatedField<float>& v
     throw_invalid_argument(field + ": " + std::to_string(values.size()) + " values, " + std::to_string(3 * vertices) +
                            " needed for " + std::to_string(vertices) + " vertices");
   }
-  check_limit(values, 3 * kMaxVertices, field);
-  check_finite(values.data(), static_cast<std::size_t>(values.size()), field);
+  check_limit(span_of(values).size(), 3 * kMaxVertices, field);
+  check_finite(span_of(values), field);
   return matrix_of<Positions>(values, field);
 }
 
@@ -160,10 +133,10 @@ Positions positions_from_message(const v1::Frame& frame, Eigen::Index vertices, 
 }
 
 Topology from_message(const v1::Topology& message, const std::string& field) {
-  check_limit(message.rest_positions(), 3 * kMaxVertices, field + ".rest_positions");
-  check_limit(message.faces(), 3 * kMaxFaces, field + ".faces");
-  check_limit(message.uv(), 2 * 3 * kMaxFaces, field + ".uv");
-  check_limit(message.uv_faces(), 3 * kMaxFaces, field + ".uv_faces");
+  check_limit(span_of(message.rest_positions()).size(), 3 * kMaxVertices, field + ".rest_positions");
+  check_limit(span_of(message.faces()).size(), 3 * kMaxFaces, field + ".faces");
+  check_limit(span_of(message.uv()).size(), 2 * 3 * kMaxFaces, field + ".uv");
+  check_limit(span_of(message.uv_faces()).size(), 3 * kMaxFaces, field + ".uv_faces");
   Topology topology;
   topology.rest_positions = matrix_of<Positions>(message.rest_positions(), field + ".rest_positions");
   topology.faces = matrix_of<Faces>(message.faces(), field + ".faces");
@@ -192,11 +165,11 @@ Frame from_message(const v1::Frame& message, Eigen::Index vertices, const std::s
 
 ObstacleShape from_message(const v1::ObstacleShape& message, const std::string& field) {
   if (message.name().empty()) throw_invalid_argument(field + ".name: empty");
-  check_limit(message.faces(), 3 * kMaxFaces, field + ".faces");
+  check_limit(span_of(message.faces()).size(), 3 * kMaxFaces, field + ".faces");
   if (message.capsules() > 0 && message.faces_size() > 0) {
     throw_invalid_argument(field + " '" + message.name() + "': either capsules or faces, not both");
   }
-  if (message.capsules() > static_cast<std::uint32_t>(kMaxCapsules)) {
+  if (message.capsules() > kMaxCapsules) {
     throw Error(ErrorCode::kResourceExhausted, field + ".capsules: " + std::to_string(message.capsules()) +
                                                    ", at most " + std::to_string(kMaxCapsules));
   }
@@ -219,7 +192,7 @@ ObstacleFrame from_message(const v1::ObstacleFrame& message, const std::string& 
       throw_invalid_argument(field + ".radius: not greater than 0");
     }
   } else if (capsules) {
-    check_limit(message.capsule_radii(), kMaxCapsules, field + ".capsule_radii");
+    check_limit(span_of(message.capsule_radii()).size(), kMaxCapsules, field + ".capsule_radii");
     obstacle.capsule_ends =
         positions_from_message(message.capsule_ends(), 2 * message.capsule_radii_size(), field + ".capsule_ends");
     obstacle.capsule_radii.assign(message.capsule_radii().begin(), message.capsule_radii().end());
@@ -238,7 +211,7 @@ RigidTransform from_message(const v1::RigidTransform& message, const std::string
   if (message.rotation_size() != 9) {
     throw_invalid_argument(field + ".rotation: " + std::to_string(message.rotation_size()) + " values, 9 needed");
   }
-  check_finite(message.rotation().data(), 9, field + ".rotation");
+  check_finite(span_of(message.rotation()), field + ".rotation");
   RigidTransform transform;
   transform.rotation = Eigen::Map<const Eigen::Matrix<float, 3, 3, Eigen::RowMajor>>(message.rotation().data());
   transform.translation = vector_of(message.translation(), field + ".translation");
@@ -285,13 +258,14 @@ Tensor from_message(const v1::Tensor& message, const std::string& field) {
       const auto low = static_cast<unsigned char>(message.data()[2 * i]);
       const auto high = static_cast<unsigned char>(message.data()[2 * i + 1]);
       const auto bits = static_cast<std::uint16_t>(low | (high << 8));
-      tensor.values[i] = message.dtype() == v1::Tensor::DTYPE_FLOAT16 ? half_to_float(bits)
-                                                                      : std::bit_cast<float>(std::uint32_t{bits} << 16);
+      tensor.values[i] = message.dtype() == v1::Tensor::DTYPE_FLOAT16
+                             ? static_cast<float>(Eigen::numext::bit_cast<Eigen::half>(bits))
+                             : static_cast<float>(Eigen::numext::bit_cast<Eigen::bfloat16>(bits));
     }
   } else {
     throw_invalid_argument(field + ".dtype: unknown type " + std::to_string(static_cast<int>(message.dtype())));
   }
-  check_finite(tensor.values.data(), tensor.values.size(), field + ".values");
+  check_finite(tensor.values, field + ".values");
   return tensor;
 }
 

@@ -1,12 +1,16 @@
 // `pleat enhance`: coarse frames of another simulator through a live session.
 #include <chrono>
 #include <cstdio>
+#include <optional>
 
 #include "common/base/progress.hpp"
 #include "common/base/scratch_folder.hpp"
+#include "common/base/signals.hpp"
+#include "common/client/adapter/adapter.hpp"
+#include "common/client/cpp/client.hpp"
 #include "common/mesh/obj.hpp"
+#include "common/mesh/subdivision.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/enhance_session.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
 #include "services/cli/result_recorder.hpp"
@@ -27,6 +31,26 @@ struct EnhanceOptions {
   std::uint32_t window = 0, rounds = 2;
   std::uint64_t count = 0;
   rpc::TlsOptions tls;
+};
+
+/// What a frame gets that could not be enhanced: the upsampled coarse mesh, as in the files of jobs.
+class StandIn {
+ public:
+  StandIn(const Topology& coarse, const client::Mesh& fine, std::uint32_t rounds)
+      : coarse_(coarse), fine_(fine), rounds_(static_cast<int>(rounds)) {}
+
+  std::vector<float> positions(const Positions& coarse) {
+    if (!subdivision_) subdivision_ = subdivide(coarse_, rounds_);
+    if (client::from_topology(subdivision_->fine).faces != fine_.faces)
+      throw_internal("the session's fine mesh is not the subdivision of the coarse one");
+    return client::from_positions(upsample(*subdivision_, coarse_.faces, coarse));
+  }
+
+ private:
+  const Topology& coarse_;
+  const client::Mesh& fine_;
+  int rounds_;
+  std::optional<Subdivision> subdivision_;
 };
 
 int enhance(const EnhanceOptions& options) {
@@ -57,30 +81,50 @@ int enhance(const EnhanceOptions& options) {
     launcher.emplace(launch);
     address = launcher->coordinator();
   }
-  const auto channel = rpc::create_channel(address, options.tls);
-  rpc::wait_healthy(channel, "pleat.v1.Coordinator", address,
-                    std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
+  client::Client client(address, options.tls);
+  client.wait_ready(std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
 
-  EnhanceSessionOptions open;
-  open.coarse = rest;
-  open.model = model.name;
-  open.frame_time_s = frame_time;
-  open.obstacles = own_obstacles ? obstacles.shapes() : sequence->obstacle_shapes();
-  open.window = options.window;
-  open.subdivision_rounds = options.rounds;
-  EnhanceSession session(channel, address, open);
-  ResultRecorder recorder(
-      {out / "result.h5", session.topology(), count, frame_time, session.model(), "", open.obstacles});
+  const std::vector<ObstacleShape> shapes = own_obstacles ? obstacles.shapes() : sequence->obstacle_shapes();
+  client::EnhanceSession session = client.enhance({.coarse = client::from_topology(rest),
+                                                   .model = model.name,
+                                                   .frame_time_s = frame_time,
+                                                   .obstacles = client::from_shapes(shapes),
+                                                   .window = options.window,
+                                                   .subdivision_rounds = options.rounds});
+  const client::SessionInfo& info = session.info();
+  ResultRecorder recorder({out / "result.h5",
+                           {rest, client::to_topology(info.fine), info.feature_vertices},
+                           count,
+                           frame_time,
+                           info.model,
+                           "",
+                           shapes});
+  StandIn stand_in(rest, info.fine, options.rounds);
+  std::optional<Error> first_error;
   Progress progress("frames", count);
   const Clock::time_point start = Clock::now();
   try {
     session.run(
         count,
         [&](std::uint64_t k) {
-          return CoarseInput{sequence->positions(k), own_obstacles ? obstacles.at(k) : sequence->obstacles(k)};
+          if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
+          client::CoarseFrame frame;
+          frame.index = k;
+          frame.time_s = frame_time * static_cast<double>(k);
+          frame.positions = client::from_positions(sequence->positions(k));
+          frame.obstacles = client::from_obstacles(own_obstacles ? obstacles.at(k) : sequence->obstacles(k));
+          return frame;
         },
-        [&](const v1::EnhancedFrame& frame, const CoarseInput& input) {
-          recorder.add(frame, input.positions, input.obstacles);
+        [&](client::EnhancedFrame answer, const client::CoarseFrame& input) {
+          if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
+          Positions coarse = client::to_positions(input.positions);
+          if (answer.error) {
+            if (!first_error) first_error = answer.error;
+            progress.line(std::string(answer.error->what()) + "; the upsampled coarse mesh stands in its place");
+            answer.time_s = input.time_s;
+            answer.positions = stand_in.positions(coarse);
+          }
+          recorder.add(answer, std::move(coarse), client::to_obstacles(input.obstacles));
           progress.update(recorder.frames());
         });
   } catch (const Error& error) {
@@ -92,13 +136,16 @@ int enhance(const EnhanceOptions& options) {
   const double wall_s = std::chrono::duration<double>(Clock::now() - start).count();
   progress.finish();
   recorder.finish();
+  if (recorder.frame_errors() == count)
+    throw Error(first_error->code(), std::string("no frame could be enhanced; ") + first_error->what());
   if (launcher) launcher->stop();
   presentation::ReportSummary summary;
   summary.title = fs::path(options.rest).stem().string();
-  summary.model = session.model();
-  summary.device = session.device();
-  summary.precision = session.precision();
+  summary.model = info.model;
+  summary.device = info.device;
+  summary.precision = info.precision;
   summary.wall_s = wall_s;
+  summary.extra["frame_errors"] = recorder.frame_errors();
   write_reports(out, std::move(summary));
   return kExitDone;
 }

@@ -53,12 +53,10 @@ int evaluate_command(const EvalOptions& options) {
       launcher.emplace(launch);
       address = launcher->coordinator();
     }
-    const auto channel = rpc::create_channel(address, options.tls);
-    rpc::wait_healthy(channel, "pleat.v1.Coordinator", address,
-                      std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
+    const auto client = std::make_shared<client::Client>(address, options.tls);
+    client->wait_ready(std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
     for (const std::string& name : names)
-      methods.push_back(
-          evaluation::session_method(channel, address, dataset.topology(), name, !options.skip_refinement));
+      methods.push_back(evaluation::session_method(client, dataset.topology(), name, !options.skip_refinement));
   }
   std::optional<Progress> progress;
   const auto figures =

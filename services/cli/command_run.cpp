@@ -1,20 +1,14 @@
 // `pleat run`: simulate a scene and enhance it, with services of our own or a coordinator that is there.
-#include <unistd.h>
-
-#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <numeric>
-#include <random>
-#include <thread>
 
 #include "common/base/progress.hpp"
 #include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
-#include "common/frame/messages.hpp"
-#include "common/rpc/status.hpp"
+#include "common/client/adapter/adapter.hpp"
+#include "common/client/cpp/client.hpp"
 #include "services/cli/command.hpp"
-#include "services/cli/job_watcher.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
 #include "services/cli/result_recorder.hpp"
@@ -26,7 +20,6 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::seconds kCallTimeout{30};
 constexpr std::chrono::seconds kCancelPatience{20};
 constexpr double kDefaultFrameTime = 0.04;
 
@@ -39,46 +32,34 @@ struct RunOptions {
   rpc::TlsOptions tls;
 };
 
-std::string random_job_id(const std::string& scene) {
-  std::random_device random;
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%08x%08x", random(), random());
-  return scene.substr(0, 40) + "-" + digits;
-}
-
-/// The job's frames as they come from a coordinator elsewhere, into DIR/result.h5.
+/// The job's frames as they come from a coordinator elsewhere, into DIR/result.h5, as the coordinator's own file has
+/// them. Lives in the watcher's thread, until the watching is over.
 class RemoteFrames {
  public:
-  RemoteFrames(RecordingOptions options) : options_(std::move(options)) {}
+  explicit RemoteFrames(RecordingOptions options) : options_(std::move(options)) {}
 
-  JobSinks sinks() {
-    JobSinks sinks;
-    sinks.opened = [this](const v1::JobOpened& opened) { open(opened); };
-    sinks.frame = [this](const v1::EnhancedFrame& frame) { add(frame); };
-    sinks.frame_error = [](const v1::FrameError& error) {
-      throw Error(ErrorCode::kInternal, "frame " + std::to_string(error.index()) + ": " + error.message());
-    };
-    return sinks;
+  client::JobSinks sinks() {
+    return {.opened = [this](const client::JobMeshes& meshes) { open(meshes); },
+            .frame = [this](const client::EnhancedFrame& frame) { add(frame); }};
   }
   void finish() {
     if (recorder_) recorder_->finish();
   }
 
  private:
-  void open(const v1::JobOpened& opened) {
+  void open(const client::JobMeshes& meshes) {
     if (recorder_) return;
-    options_.topology.coarse = from_message(opened.coarse());
-    options_.topology.fine = from_message(opened.fine());
-    options_.topology.feature_vertices.resize(static_cast<std::size_t>(options_.topology.coarse.vertex_count()));
+    options_.topology.coarse = client::to_topology(meshes.coarse);
+    options_.topology.fine = client::to_topology(meshes.fine);
+    options_.topology.feature_vertices.resize(meshes.coarse.vertex_count());
     std::iota(options_.topology.feature_vertices.begin(), options_.topology.feature_vertices.end(), 0u);
-    for (const v1::ObstacleShape& shape : opened.obstacles()) options_.obstacles.push_back(from_message(shape));
+    options_.obstacles = client::to_shapes(meshes.obstacles);
     recorder_.emplace(options_);
   }
-  void add(const v1::EnhancedFrame& frame) {
+  void add(const client::EnhancedFrame& frame) {
     if (!recorder_) throw_internal("the coordinator sent a frame before the meshes");
-    std::vector<ObstacleFrame> obstacles;
-    for (const v1::ObstacleFrame& obstacle : frame.obstacles()) obstacles.push_back(from_message(obstacle));
-    recorder_->add(frame, positions_from_message(frame.coarse()), obstacles);
+    if (frame.error && frame.positions.empty()) throw *frame.error;  // an older coordinator sends nothing in its place
+    recorder_->add(frame, client::to_positions(frame.coarse), client::to_obstacles(frame.obstacles));
   }
 
   RecordingOptions options_;
@@ -105,34 +86,24 @@ class Run {
       launch.data = work_->path();
       launch.logs = out_ / "logs";
       launcher_.emplace(launch);
-      address_ = launcher_->coordinator();
-      channel_ = rpc::create_channel(address_);
+      client_.emplace(launcher_->coordinator());
     } else {
-      address_ = options_.coordinator;
-      channel_ = rpc::create_channel(address_, options_.tls);
-      rpc::wait_healthy(channel_, "pleat.v1.Coordinator", address_,
-                        std::chrono::milliseconds(static_cast<long>(options_.timeout_s * 1000)));
+      client_.emplace(options_.coordinator, options_.tls);
+      client_->wait_ready(std::chrono::milliseconds(static_cast<long>(options_.timeout_s * 1000)));
     }
-    stub_ = v1::Coordinator::NewStub(channel_);
 
     v1::CreateJobRequest request;
     request.set_model(model.name);
     request.set_frames(options_.frames);
     request.set_reference(options_.reference);
-    request.set_job_id(random_job_id(scene.name()));
     const std::uint32_t frames = options_.frames > 0 ? options_.frames : scene.frames();
     const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
     RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, presentation::scene_json(scene), {}});
     *request.mutable_scene() = std::move(scene);
 
-    v1::Job job;
-    {
-      grpc::ClientContext context;
-      context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
-      rpc::throw_if_failed(stub_->CreateJob(&context, request, &job), peer());
-    }
+    v1::Job job = client_->create_job(request);
     try {
-      job = follow(job, local ? JobSinks{} : remote.sinks());
+      job = follow(job, local ? client::JobSinks{} : remote.sinks());
     } catch (const Error& error) {
       if (!local) throw;
       const fs::path kept = take_result(job.id());
@@ -143,11 +114,9 @@ class Run {
   }
 
  private:
-  std::string peer() const { return "coordinator at " + address_; }
-
   /// Shows the job's progress until it has ended; Ctrl-C cancels it.
-  v1::Job follow(v1::Job job, JobSinks sinks) {
-    JobWatcher watcher(channel_, address_, job.id(), std::move(sinks));
+  v1::Job follow(v1::Job job, client::JobSinks sinks) {
+    const client::JobWatcher watcher = client_->watch_job(job.id(), std::move(sinks));
     std::optional<Progress> progress;
     v1::Job::State shown = v1::Job::STATE_UNSPECIFIED;
     std::optional<Clock::time_point> cancelled;
@@ -170,7 +139,7 @@ class Run {
         if (progress) {
           const bool of_reference = shown == v1::Job::STATE_REFERENCE;
           progress->update(of_reference ? job.reference_frames_complete() : job.frames_complete());
-          progress->finish(job.state() == v1::Job::STATE_DONE ? "" : state_name(job.state()));
+          progress->finish(job.state() == v1::Job::STATE_DONE ? "" : client::state_name(job.state()));
         }
         return job;
       }
@@ -179,20 +148,11 @@ class Run {
       }
       if (interrupted() && !cancelled) {
         cancelled = Clock::now();
-        cancel(job.id());
+        client_->cancel_job(job.id());
       }
       if (cancelled && Clock::now() - *cancelled > kCancelPatience)
         throw Error(ErrorCode::kDeadlineExceeded, "interrupted, and the job did not end");
     }
-  }
-
-  void cancel(const std::string& id) {
-    grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
-    v1::CancelJobRequest request;
-    request.set_id(id);
-    v1::Job ignored;
-    rpc::throw_if_failed(stub_->CancelJob(&context, request, &ignored), peer());
   }
 
   /// The job's file comes to us. Returns what was kept, if anything.
@@ -240,11 +200,9 @@ class Run {
 
   RunOptions options_;
   fs::path out_;
-  std::string address_;
   std::optional<ScratchFolder> work_;  // after the services' end it goes, with what they kept
   std::optional<Launcher> launcher_;
-  std::shared_ptr<grpc::Channel> channel_;
-  std::unique_ptr<v1::Coordinator::Stub> stub_;
+  std::optional<client::Client> client_;
 };
 
 }  // namespace

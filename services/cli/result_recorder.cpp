@@ -3,46 +3,62 @@
 #include <algorithm>
 
 #include "common/base/error.hpp"
-#include "common/frame/messages.hpp"
+#include "common/client/adapter/adapter.hpp"
 
 namespace pleat::cli {
 
-void ResultRecorder::add(const v1::EnhancedFrame& frame, const Positions& coarse,
-                         const std::vector<ObstacleFrame>& obstacles) {
-  const std::uint64_t index = frame.fine().index();
-  if (index != frames_)
-    throw_internal("frame " + std::to_string(index) + " came where frame " + std::to_string(frames_) + " was due");
-  if (!writer_) {
-    // Parts of a stage ("simulation.contact") are in their stage already.
-    for (const v1::StageTime& time : frame.stage_times())
-      if (time.stage().find('.') == std::string::npos) stages_.push_back(time.stage());
-    ResultOptions file;
-    file.topology = options_.topology;
-    file.frames = options_.frames;
-    file.frame_time_s = options_.frame_time_s;
-    file.model = options_.model;
-    file.scene = options_.scene;
-    file.obstacles = options_.obstacles;
-    for (const ObstacleFrame& obstacle : obstacles) file.obstacle_vertices.push_back(obstacle.positions.rows());
-    file.stages = stages_;
-    file.counts = {"penetrations", "self_intersections"};
-    writer_.emplace(options_.path, file);
+namespace {
+
+/// Of a file whose first frame failed before it had stages.
+const std::vector<std::string> kUsualStages = {"to_image", "superres", "to_mesh", "refinement"};
+
+/// Parts of a stage ("simulation.contact") are in their stage already.
+std::vector<std::string> stages_of(const client::EnhancedFrame& frame) {
+  std::vector<std::string> stages;
+  for (const client::StageTime& time : frame.stage_times)
+    if (time.stage.find('.') == std::string::npos) stages.push_back(time.stage);
+  return stages.empty() ? kUsualStages : stages;
+}
+
+}  // namespace
+
+void ResultRecorder::open(const client::EnhancedFrame& first, const std::vector<ObstacleFrame>& obstacles) {
+  stages_ = stages_of(first);
+  ResultOptions file;
+  file.topology = options_.topology;
+  file.frames = options_.frames;
+  file.frame_time_s = options_.frame_time_s;
+  file.model = options_.model;
+  file.scene = options_.scene;
+  file.obstacles = options_.obstacles;
+  for (const ObstacleFrame& obstacle : obstacles) file.obstacle_vertices.push_back(obstacle.positions.rows());
+  file.stages = stages_;
+  file.counts = {"penetrations", "self_intersections", "frame_errors"};
+  writer_.emplace(options_.path, file);
+}
+
+void ResultRecorder::add(const client::EnhancedFrame& frame, Positions coarse, std::vector<ObstacleFrame> obstacles) {
+  if (frame.index != frames_) {
+    throw_internal("frame " + std::to_string(frame.index) + " came where frame " + std::to_string(frames_) +
+                   " was due");
   }
+  if (!writer_) open(frame, obstacles);
   ResultFrame out;
-  out.time_s = frame.fine().time_s();
-  out.coarse = coarse;
-  out.enhanced = positions_from_message(frame.fine());
-  out.obstacles = obstacles;
+  out.time_s = frame.time_s;
+  out.coarse = std::move(coarse);
+  out.enhanced = client::to_positions(frame.positions);
+  out.obstacles = std::move(obstacles);
   out.stages_ms.assign(stages_.size(), 0);
-  for (const v1::StageTime& time : frame.stage_times()) {
-    const auto found = std::find(stages_.begin(), stages_.end(), time.stage());
+  for (const client::StageTime& time : frame.stage_times) {
+    const auto found = std::find(stages_.begin(), stages_.end(), time.stage);
     if (found != stages_.end())
-      out.stages_ms[static_cast<std::size_t>(found - stages_.begin())] += static_cast<float>(time.ms());
+      out.stages_ms[static_cast<std::size_t>(found - stages_.begin())] += static_cast<float>(time.ms);
   }
-  out.counts = {frame.report().penetrations_after(), frame.report().self_intersections_after()};
+  out.counts = {frame.report.penetrations_after, frame.report.self_intersections_after, frame.error ? 1u : 0u};
   writer_->append(out);
-  penetrations_ += frame.report().penetrations_after();
-  self_intersections_ += frame.report().self_intersections_after();
+  penetrations_ += out.counts[0];
+  self_intersections_ += out.counts[1];
+  frame_errors_ += out.counts[2];
   ++frames_;
 }
 

@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
+#include "common/client/cpp/values.hpp"
 #include "common/frame/frame.hpp"
 #include "common/store/result.hpp"
-#include "pleat/v1/coordinator.pb.h"
 
 namespace pleat::cli {
 
@@ -29,20 +29,24 @@ class ResultRecorder {
  public:
   explicit ResultRecorder(RecordingOptions options) : options_(std::move(options)) {}
 
-  /// The stages of the first frame become those of the file. Throws kInternal (order), kResourceExhausted (disk).
-  void add(const v1::EnhancedFrame& frame, const Positions& coarse, const std::vector<ObstacleFrame>& obstacles);
+  /// The stages of the first frame become those of the file. A frame with an error is one of `frame_errors`, and needs
+  /// positions all the same. Throws kInternal (order), kResourceExhausted (disk).
+  void add(const client::EnhancedFrame& frame, Positions coarse, std::vector<ObstacleFrame> obstacles);
   /// Ends with what there is: result.h5.partial becomes result.h5. Throws kFailedPrecondition without a frame.
   void finish();
 
   std::uint64_t frames() const { return frames_; }
   std::uint64_t penetrations() const { return penetrations_; }
   std::uint64_t self_intersections() const { return self_intersections_; }
+  std::uint64_t frame_errors() const { return frame_errors_; }
 
  private:
+  void open(const client::EnhancedFrame& first, const std::vector<ObstacleFrame>& obstacles);
+
   RecordingOptions options_;
   std::optional<ResultWriter> writer_;
   std::vector<std::string> stages_;
-  std::uint64_t frames_ = 0, penetrations_ = 0, self_intersections_ = 0;
+  std::uint64_t frames_ = 0, penetrations_ = 0, self_intersections_ = 0, frame_errors_ = 0;
 };
 
 }  // namespace pleat::cli

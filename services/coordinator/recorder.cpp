@@ -24,6 +24,13 @@ ObstacleFrame obstacle_of(const v1::ObstacleFrame& message) {
   return obstacle;
 }
 
+/// A failed frame gets the mesh that the file holds in its place, for those who watch.
+void set_fine(PipelineFrame& frame, const ResultFrame& stored) {
+  frame.fine.set_time_s(stored.time_s);
+  const Positions& positions = stored.enhanced;
+  frame.fine.mutable_positions()->Assign(positions.data(), positions.data() + positions.size());
+}
+
 }  // namespace
 
 const std::vector<std::string> kJobStages = {"simulation", "to_image", "superres", "to_mesh", "refinement", "store"};
@@ -113,7 +120,9 @@ void Recorder::run() {
     std::optional<Error> failure;
     try {
       const telemetry::StageTimer timer;
-      writer_.append(to_result_frame(*frame, subdivision_, coarse_faces_, store_ms));
+      const ResultFrame result = to_result_frame(*frame, subdivision_, coarse_faces_, store_ms);
+      writer_.append(result);
+      if (frame->error) set_fine(*frame, result);
       store_ms = static_cast<float>(timer.milliseconds());
       callbacks_.stored(frame, writer_.frames_complete());
     } catch (const Error& e) {

@@ -32,11 +32,8 @@ EventPtr make_opened_event(const MeshPair& topology, const std::vector<ObstacleS
 
 EventPtr make_event(PipelineFrame& frame) {
   auto event = std::make_shared<v1::JobEvent>();
-  if (frame.error) {
-    *event->mutable_error() = *frame.error;
-    return event;
-  }
-  v1::EnhancedFrame& enhanced = *event->mutable_frame();
+  if (frame.error) *event->mutable_error() = *frame.error;
+  v1::EnhancedFrame& enhanced = frame.error ? *event->mutable_replacement() : *event->mutable_frame();
   enhanced.mutable_fine()->Swap(&frame.fine);
   enhanced.mutable_fine()->set_index(frame.index);
   enhanced.mutable_coarse()->Swap(&frame.coarse);
@@ -74,9 +71,8 @@ EventPtr read_event(const ResultReader& reader, std::uint64_t index) {
     event->mutable_error()->set_index(index);
     event->mutable_error()->set_code(13);
     event->mutable_error()->set_message(kStoredErrorMessage);
-    return event;
   }
-  v1::EnhancedFrame& enhanced = *event->mutable_frame();
+  v1::EnhancedFrame& enhanced = event->has_error() ? *event->mutable_replacement() : *event->mutable_frame();
   for (v1::Frame* frame : {enhanced.mutable_fine(), enhanced.mutable_coarse()}) {
     frame->set_index(index);
     frame->set_time_s(stored.time_s);

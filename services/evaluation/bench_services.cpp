@@ -8,10 +8,10 @@
 #include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
 #include "common/base/statistics.hpp"
+#include "common/client/adapter/adapter.hpp"
+#include "common/client/cpp/client.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/status.hpp"
-#include "services/cli/enhance_session.hpp"
-#include "services/cli/job_watcher.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/evaluation/bench.hpp"
 #include "services/evaluation/superres_process.hpp"
@@ -25,7 +25,6 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::seconds kCallTimeout{10};
 constexpr std::size_t kWarmUp = 3;
 
 std::filesystem::path log_file(const BenchOptions& options, const std::string& precision) {
@@ -61,25 +60,18 @@ std::vector<double> infer(SuperresProcess& service, const std::string& model, st
   return ms;
 }
 
-double frames_per_second(const std::shared_ptr<grpc::Channel>& channel, const std::string& address,
-                         const BenchOptions& options) {
-  const auto stub = v1::Coordinator::NewStub(channel);
+double frames_per_second(const client::Client& client, const BenchOptions& options) {
   v1::CreateJobRequest request;
   *request.mutable_scene() = presentation::read_scene_file(scene_or(options, "draping"));
   request.set_frames(static_cast<std::uint32_t>(options.frames));
-  v1::Job job;
-  {
-    grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
-    rpc::throw_if_failed(stub->CreateJob(&context, request, &job), "coordinator at " + address);
-  }
-  cli::JobWatcher watcher(channel, address, job.id(), {});
+  const v1::Job job = client.create_job(request);
+  const client::JobWatcher watcher = client.watch_job(job.id());
   while (true) {
     const auto [latest, over] = watcher.wait(std::chrono::milliseconds(100));
     if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
     if (!over) continue;
     if (latest.state() != v1::Job::STATE_DONE)
-      throw_internal("job " + job.id() + " " + cli::state_name(latest.state()) + ": " + latest.error());
+      throw_internal("job " + job.id() + " " + client::state_name(latest.state()) + ": " + latest.error());
     return latest.summary().wall_s() > 0 ? latest.frames_complete() / latest.summary().wall_s() : 0;
   }
 }
@@ -116,10 +108,14 @@ Figures bench_pipeline(const BenchOptions& options) {
   simulation::Scene scene = simulation::scene_from_message(presentation::read_scene_file(scene_or(options, "draping")));
   scene.frames = static_cast<int>(options.frames);
   simulation::Simulation simulation(scene, simulation::Mode::kCoarse);
-  std::vector<cli::CoarseInput> inputs;
+  std::vector<client::CoarseFrame> inputs;
   for (std::size_t k = 0; k < options.frames; ++k) {
-    simulation::SimulatedFrame frame = simulation.next_frame();
-    inputs.push_back({std::move(frame.coarse.positions), std::move(frame.obstacles)});
+    const simulation::SimulatedFrame frame = simulation.next_frame();
+    inputs.push_back({.index = k,
+                      .time_s = scene.frame_time_s * static_cast<double>(k),
+                      .positions = client::from_positions(frame.coarse.positions),
+                      .velocities = {},
+                      .obstacles = client::from_obstacles(frame.obstacles)});
   }
   cli::LauncherOptions launch;
   launch.models = options.models;
@@ -128,30 +124,31 @@ Figures bench_pipeline(const BenchOptions& options) {
   launch.data = work.path();
   launch.logs = options.out / "logs";
   cli::Launcher launcher(launch);
-  const auto channel = rpc::create_channel(launcher.coordinator());
-  const double rate = frames_per_second(channel, launcher.coordinator(), options);
+  const client::Client client(launcher.coordinator());
+  const double rate = frames_per_second(client, options);
 
-  cli::EnhanceSessionOptions open;
-  open.coarse = simulation.coarse();
-  open.frame_time_s = scene.frame_time_s;
-  open.obstacles = simulation.obstacle_shapes();
-  open.window = 1;
-  open.subdivision_rounds = static_cast<std::uint32_t>(scene.subdivision_rounds);
-  cli::EnhanceSession session(channel, launcher.coordinator(), open);
+  client::EnhanceSession session =
+      client.enhance({.coarse = client::from_topology(simulation.coarse()),
+                      .frame_time_s = scene.frame_time_s,
+                      .obstacles = client::from_shapes(simulation.obstacle_shapes()),
+                      .window = 1,
+                      .subdivision_rounds = static_cast<std::uint32_t>(scene.subdivision_rounds)});
   std::vector<double> latency, share;
   Clock::time_point sent;
   session.run(
       inputs.size(),
       [&](std::uint64_t k) {
+        if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
         sent = Clock::now();
         return inputs[k];
       },
-      [&](const v1::EnhancedFrame& frame, const cli::CoarseInput&) {
+      [&](const client::EnhancedFrame& frame, const client::CoarseFrame&) {
         const double ms = std::chrono::duration<double, std::milli>(Clock::now() - sent).count();
+        if (frame.error) throw *frame.error;
         double stages = 0;
-        for (const v1::StageTime& time : frame.stage_times())
-          if (time.stage().find('.') == std::string::npos) stages += time.ms();
-        if (frame.fine().index() < kWarmUp) return;
+        for (const client::StageTime& time : frame.stage_times)
+          if (time.stage.find('.') == std::string::npos) stages += time.ms;
+        if (frame.index < kWarmUp) return;
         latency.push_back(ms);
         share.push_back(1 - stages / ms);
       });

@@ -1,35 +1,41 @@
 #include "services/evaluation/session_method.hpp"
 
-#include "common/frame/messages.hpp"
-#include "services/cli/enhance_session.hpp"
+#include "common/base/signals.hpp"
+#include "common/client/adapter/adapter.hpp"
 
 namespace pleat::evaluation {
 
-Method session_method(const std::shared_ptr<grpc::Channel>& channel, const std::string& address,
-                      const MeshPair& topology, const std::string& model, bool refine) {
+Method session_method(std::shared_ptr<const client::Client> client, const MeshPair& topology, const std::string& model,
+                      bool refine) {
   const int rounds = subdivision_rounds(topology);
-  return {"pleat:" + model, [=](const MethodInput& input, const auto& sink) {
-            cli::EnhanceSessionOptions open;
-            open.coarse = topology.coarse;
-            open.model = model;
-            open.frame_time_s = input.frame_time_s;
-            open.obstacles = input.obstacle_shapes;
-            open.skip_refinement = !refine;
-            open.subdivision_rounds = static_cast<std::uint32_t>(rounds);
-            cli::EnhanceSession session(channel, address, open);
+  return {"pleat:" + model, [=, client = std::move(client)](const MethodInput& input, const auto& sink) {
+            client::EnhanceSession session =
+                client->enhance({.coarse = client::from_topology(topology.coarse),
+                                 .model = model,
+                                 .frame_time_s = input.frame_time_s,
+                                 .obstacles = client::from_shapes(input.obstacle_shapes),
+                                 .skip_refinement = !refine,
+                                 .subdivision_rounds = static_cast<std::uint32_t>(rounds)});
             session.run(
                 input.frames,
                 [&](std::uint64_t k) {
-                  return cli::CoarseInput{input.coarse(k), input.obstacles(k)};
+                  if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
+                  client::CoarseFrame frame;
+                  frame.index = k;
+                  frame.time_s = input.frame_time_s * static_cast<double>(k);
+                  frame.positions = client::from_positions(input.coarse(k));
+                  frame.obstacles = client::from_obstacles(input.obstacles(k));
+                  return frame;
                 },
-                [&](const v1::EnhancedFrame& frame, const cli::CoarseInput&) {
+                [&](const client::EnhancedFrame& frame, const client::CoarseFrame&) {
+                  if (frame.error) throw *frame.error;
                   MethodFrame out;
-                  out.positions = positions_from_message(frame.fine(), topology.fine.vertex_count());
-                  for (const v1::StageTime& time : frame.stage_times()) out.ms.emplace_back(time.stage(), time.ms());
+                  out.positions = client::to_positions(frame.positions);
+                  for (const client::StageTime& time : frame.stage_times) out.ms.emplace_back(time.stage, time.ms);
                   out.refined = refine;
-                  out.penetrations_before = frame.report().penetrations_before();
-                  out.self_intersections_before = frame.report().self_intersections_before();
-                  sink(frame.fine().index(), out);
+                  out.penetrations_before = frame.report.penetrations_before;
+                  out.self_intersections_before = frame.report.self_intersections_before;
+                  sink(frame.index, out);
                 });
           }};
 }

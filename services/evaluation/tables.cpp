@@ -192,9 +192,9 @@ Benchmark measure(const TablesOptions& options, const Printed& printed, const fs
     launch.data = options.out / "services";
     launch.logs = options.out / "logs";
     launcher.emplace(launch);
-    const auto channel = rpc::create_channel(launcher->coordinator());
+    const auto client = std::make_shared<client::Client>(launcher->coordinator());
     for (const std::string& name : bundles) {
-      Method method = session_method(channel, launcher->coordinator(), dataset.topology(), name, name == set);
+      Method method = session_method(client, dataset.topology(), name, name == set);
       method.name = name;
       methods.push_back(method);
     }

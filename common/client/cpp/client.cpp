@@ -1,25 +1,28 @@
-#include "common/client/client.hpp"
+#include "common/client/cpp/client.hpp"
 
+#include <deque>
 #include <random>
 #include <thread>
 
-#include "common/frame/messages.hpp"
+#include "common/client/cpp/messages.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
 
-namespace pleat {
+namespace pleat::client {
 namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kCallTimeout = 5s;
+constexpr auto kCallTimeout = 30s;
 constexpr auto kFirstBackoff = 100ms;
 constexpr int kAttempts = 3;
 
-std::string random_id() {
+constexpr std::size_t kNameInId = 40;
+
+std::string random_id(const std::string& scene) {
   std::random_device device;
-  std::string id = "job-";
+  std::string id = (scene.empty() ? "job" : scene.substr(0, kNameInId)) + "-";
   for (int i = 0; i < 16; ++i) id += "0123456789abcdef"[device() % 16];
   return id;
 }
@@ -29,19 +32,12 @@ std::string random_id() {
 struct EnhanceSession::State {
   using Stream = rpc::FrameStream<v1::EnhanceRequest, v1::EnhanceResponse>;
 
+  std::string peer;
   std::shared_ptr<v1::Coordinator::Stub> stub;
   std::unique_ptr<Stream> stream;
-  v1::EnhanceOpened opened;
-  Topology fine;
+  SessionInfo info;
   v1::EnhanceRequest request;    ///< reused by the pushing thread
   v1::EnhanceResponse response;  ///< reused by the popping thread
-
-  void fill(const Frame& coarse, const std::vector<ObstacleFrame>& obstacles) {
-    auto* frame = request.mutable_frame();
-    to_message(coarse, frame->mutable_coarse());
-    frame->clear_obstacles();
-    for (const ObstacleFrame& obstacle : obstacles) *frame->add_obstacles() = to_message(obstacle);
-  }
 };
 
 EnhanceSession::EnhanceSession(std::unique_ptr<State> state) : state_(std::move(state)) {}
@@ -49,40 +45,55 @@ EnhanceSession::EnhanceSession(EnhanceSession&&) noexcept = default;
 EnhanceSession& EnhanceSession::operator=(EnhanceSession&&) noexcept = default;
 EnhanceSession::~EnhanceSession() = default;
 
-const Topology& EnhanceSession::fine() const { return state_->fine; }
-const v1::EnhanceOpened& EnhanceSession::opened() const { return state_->opened; }
+const SessionInfo& EnhanceSession::info() const { return state_->info; }
 
-void EnhanceSession::push(const Frame& coarse, const std::vector<ObstacleFrame>& obstacles) {
-  state_->fill(coarse, obstacles);
+void EnhanceSession::push(const CoarseFrame& frame) {
+  to_message(frame, state_->request.mutable_frame());
   state_->stream->push(state_->request);
 }
 
-bool EnhanceSession::try_push(const Frame& coarse, const std::vector<ObstacleFrame>& obstacles) {
-  state_->fill(coarse, obstacles);
+bool EnhanceSession::try_push(const CoarseFrame& frame) {
+  to_message(frame, state_->request.mutable_frame());
   return state_->stream->try_push(state_->request);
 }
 
-std::optional<EnhancedResult> EnhanceSession::pop() {
-  v1::EnhanceResponse& response = state_->response;
-  if (!state_->stream->pop(&response)) return std::nullopt;
-  EnhancedResult result;
-  if (response.has_error()) {
-    const v1::FrameError& error = response.error();
-    result.index = error.index();
-    result.error.emplace(rpc::to_error_code(static_cast<grpc::StatusCode>(error.code())),
-                         "frame " + std::to_string(error.index()) + ": " + error.message());
-    return result;
-  }
-  const v1::EnhancedFrame& frame = response.frame();
-  result.index = frame.fine().index();
-  result.fine = from_message(frame.fine(), state_->fine.vertex_count(), "fine");
-  result.report = frame.report();
-  result.stage_times.assign(frame.stage_times().begin(), frame.stage_times().end());
-  return result;
+std::optional<EnhancedFrame> EnhanceSession::pop() {
+  const v1::EnhanceResponse& response = state_->response;
+  if (!state_->stream->pop(&state_->response)) return std::nullopt;
+  if (response.has_error()) return from_message(response.error());
+  return from_message(response.frame(), state_->info.fine.vertex_count());
 }
 
 void EnhanceSession::close() { state_->stream->close(); }
 void EnhanceSession::cancel() { state_->stream->cancel(); }
+
+void EnhanceSession::run(std::uint64_t count, const Input& input, const Sink& sink) {
+  std::deque<CoarseFrame> waiting;  // inputs without an answer, bounded by the window
+  std::uint64_t sent = 0;
+  bool filled = false;  // the request holds frame `sent`, which did not fit into the window
+  for (std::uint64_t answered = 0; answered < count; ++answered) {
+    while (sent < count) {
+      if (!filled) {
+        waiting.push_back(input(sent));
+        to_message(waiting.back(), state_->request.mutable_frame());
+      }
+      filled = !state_->stream->try_push(state_->request);
+      if (filled) break;
+      ++sent;
+    }
+    if (sent == count) close();
+    const std::optional<EnhancedFrame> answer = pop();
+    if (!answer) {
+      throw Error(ErrorCode::kUnavailable, state_->peer + " ended the session after " + std::to_string(answered) +
+                                               " of " + std::to_string(count) + " frames");
+    }
+    sink(*answer, waiting.front());
+    waiting.pop_front();
+  }
+  close();
+  // The session ends well on both sides before it goes.
+  if (pop()) throw_internal(state_->peer + " sent more frames than it was asked for");
+}
 
 struct Client::State {
   std::string address;
@@ -125,7 +136,7 @@ void Client::wait_ready(std::chrono::milliseconds timeout) const {
 }
 
 v1::Job Client::create_job(v1::CreateJobRequest request) const {
-  if (request.job_id().empty()) request.set_job_id(random_id());
+  if (request.job_id().empty()) request.set_job_id(random_id(request.scene().name()));
   v1::Job job;
   state_->call([&](grpc::ClientContext* context) { return state_->stub->CreateJob(context, request, &job); });
   return job;
@@ -154,52 +165,40 @@ std::vector<v1::Job> Client::list_jobs() const {
   return {response.jobs().begin(), response.jobs().end()};
 }
 
-bool Client::watch_job(const std::string& id, std::uint64_t from_index, bool include_frames,
-                       const std::function<bool(const v1::JobEvent&)>& on_event) const {
-  v1::WatchJobRequest request;
-  request.set_id(id);
-  request.set_from_index(from_index);
-  request.set_include_frames(include_frames);
-  grpc::ClientContext context;
-  const auto reader = state_->stub->WatchJob(&context, request);
-  v1::JobEvent event;
-  while (reader->Read(&event)) {
-    if (on_event(event)) continue;
-    context.TryCancel();
-    while (reader->Read(&event)) {
-    }
-    reader->Finish();
-    return false;
-  }
-  rpc::throw_if_failed(reader->Finish(), state_->peer);
-  return true;
+JobWatcher Client::watch_job(const std::string& id, JobSinks sinks, const JobWatchOptions& options) const {
+  return JobWatcher(state_->channel, state_->peer, id, std::move(sinks), options);
 }
 
 EnhanceSession Client::enhance(const EnhanceOptions& options) const {
   v1::EnhanceRequest request;
   v1::EnhanceOpen* open = request.mutable_open();
-  *open->mutable_coarse() = to_message(options.coarse);
+  to_message(options.coarse, open->mutable_coarse());
   open->set_model(options.model);
   open->set_frame_time_s(options.frame_time_s);
-  for (const ObstacleShape& shape : options.obstacles) *open->add_obstacles() = to_message(shape);
+  for (const ObstacleShape& shape : options.obstacles) to_message(shape, open->add_obstacles());
   if (options.clearance_m) open->set_clearance_m(*options.clearance_m);
   open->set_window(rpc::checked_window(options.window));
   open->set_skip_refinement(options.skip_refinement);
-  open->set_subdivision_rounds(options.subdivision_rounds);
+  if (options.subdivision_rounds) open->set_subdivision_rounds(*options.subdivision_rounds);
 
   auto session = std::make_unique<EnhanceSession::State>();
+  session->peer = state_->peer;
   session->stub = state_->stub;
   rpc::FrameStreamOptions stream;
   stream.peer = state_->peer;
-  stream.window = rpc::checked_window(options.window);
+  stream.window = open->window();
   session->stream = std::make_unique<EnhanceSession::State::Stream>(
-      [&](grpc::ClientContext* context) { return session->stub->Enhance(context); }, stream);
-  session->opened = session->stream->open(request);
-  if (session->opened.window() > 0 && session->opened.window() < stream.window) {
+      [stub = state_->stub](grpc::ClientContext* context) { return stub->Enhance(context); }, stream);
+  const v1::EnhanceOpened opened = session->stream->open(request);
+  if (opened.window() > 0 && opened.window() < stream.window) {
     throw_internal(state_->peer + ": the session's window is smaller than asked for");
   }
-  session->fine = from_message(session->opened.fine(), "opened.fine");
+  session->info = {from_message(opened.fine(), "opened.fine"),
+                   {opened.feature_vertices().begin(), opened.feature_vertices().end()},
+                   opened.model(),
+                   opened.device(),
+                   opened.precision()};
   return EnhanceSession(std::move(session));
 }
 
-}  // namespace pleat
+}  // namespace pleat::client
