@@ -13,14 +13,8 @@ if ! clang-format --dry-run --Werror "${sources[@]}" 2>/tmp/pleat-format.$$; the
 fi
 rm -f /tmp/pleat-format.$$
 
-mapfile -t rows < <(git grep -lIE '#include *[<"](torch|ATen|c10)/' -- '*.hpp' '*.cpp' | grep -vE '^(tests/unit/)?services/superres/' || true)
-((${#rows[@]})) && complain "LibTorch headers outside services/superres and its tests:" "${rows[@]}"
-mapfile -t rows < <(git grep -lIE '#include *[<"](grpc|google/protobuf|spdlog|pleat/v1)' -- 'common/base' 'common/mesh' 'common/store' 'common/frame/frame.hpp' || true)
-((${#rows[@]})) && complain "transport or logging headers in a plain library:" "${rows[@]}"
-mapfile -t rows < <(git ls-files 'services/*/main.cpp' | while read -r f; do n=$(wc -l <"$f"); ((n > 60)) && echo "$f: $n lines"; done || true)
-((${#rows[@]})) && complain "main.cpp over 60 lines (wiring only):" "${rows[@]}"
-mapfile -t rows < <(git grep -nIE '\b(TODO|FIXME|XXX|HACK)\b' -- '*.cpp' '*.hpp' '*.proto' '*.py' '*.sh' ':!cmake/lint.sh' || true)
-((${#rows[@]})) && complain "unfinished work:" "${rows[@]}"
+# Includes, mains, headers' contracts, names in documents, unfinished work.
+cmake/check_rooms.py || failed=1
 
 if [[ -f $build/compile_commands.json ]]; then
   # clang-tidy on the plain libraries: where the algorithms are, and quick because no gRPC or LibTorch header is in sight.

@@ -1,8 +1,11 @@
-// Order statistics of measured times.
+// Order statistics of measured times, and decibels.
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
+#include <limits>
+#include <utility>
 #include <vector>
 
 namespace pleat {
@@ -18,5 +21,11 @@ inline double quantile(std::vector<double> values, double q) {
 }
 
 inline double median(std::vector<double> values) { return quantile(std::move(values), 0.5); }
+
+/// 10 log10(peak^2 / mean square error), dB; infinite for 0.
+inline double psnr_db(double mean_square_error, double peak = 1) {
+  return mean_square_error > 0 ? 10 * std::log10(peak * peak / mean_square_error)
+                               : std::numeric_limits<double>::infinity();
+}
 
 }  // namespace pleat

@@ -27,6 +27,20 @@ std::string random_ending() {
   return ending;
 }
 
+[[noreturn]] void fail(const fs::path& path, const char* what) {
+  throw Error(ErrorCode::kResourceExhausted, path.string() + ": " + what + ": " + std::strerror(errno));
+}
+
+bool sync(const fs::path& path, int flags) {
+  const int file = ::open(path.c_str(), flags | O_CLOEXEC);
+  if (file < 0) return false;
+  const bool done = ::fsync(file) == 0;
+  const int cause = errno;
+  ::close(file);
+  errno = cause;
+  return done;
+}
+
 }  // namespace
 
 WholeFile::WholeFile(fs::path path) : path_(std::move(path)), file_(nullptr, &std::fclose) {
@@ -53,14 +67,17 @@ WholeFile::~WholeFile() {
 }
 
 void WholeFile::commit() {
-  const auto fail = [this](const char* what) {
-    throw Error(ErrorCode::kResourceExhausted, path_.string() + ": " + what + ": " + std::strerror(errno));
-  };
-  if (std::fflush(file_.get()) != 0 || std::ferror(file_.get()) != 0) fail("can't be written");
-  if (::fdatasync(::fileno(file_.get())) != 0) fail("can't be written");
+  if (std::fflush(file_.get()) != 0 || std::ferror(file_.get()) != 0) fail(path_, "can't be written");
   file_.reset();
-  if (::rename(temporary_.c_str(), path_.c_str()) != 0) fail("can't be replaced");
+  publish_file(temporary_, path_);
   temporary_.clear();
+}
+
+void publish_file(const fs::path& temporary, const fs::path& path) {
+  if (!sync(temporary, O_RDONLY)) fail(path, "can't be written");
+  if (::rename(temporary.c_str(), path.c_str()) != 0) fail(path, "can't be replaced");
+  // So that the new name outlives a power cut. Some file systems can't do it for folders; the content is safe then too.
+  sync(path.has_parent_path() ? path.parent_path() : fs::path("."), O_RDONLY | O_DIRECTORY);
 }
 
 void write_whole_file(const fs::path& path, std::string_view content) {

@@ -32,6 +32,10 @@ class WholeFile {
   std::unique_ptr<std::FILE, int (*)(std::FILE*)> file_;
 };
 
+/// Puts the finished file `temporary` in the place of `path`: on disk and under its name afterwards. Throws
+/// kResourceExhausted, naming the file.
+void publish_file(const std::filesystem::path& temporary, const std::filesystem::path& path);
+
 /// The file with this content; makes its folder if need be.
 void write_whole_file(const std::filesystem::path& path, std::string_view content);
 

@@ -7,9 +7,11 @@
 #include <cstdio>
 #include <cstring>
 #include <limits>
+#include <span>
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/base/hash.hpp"
 
 namespace pleat {
 namespace {
@@ -144,23 +146,17 @@ void validate_material_coordinates(const Topology& t, const std::string& name) {
 }
 
 std::string topology_hash(const Topology& t) {
-  std::uint64_t hash = 0xcbf29ce484222325ull;
-  const auto add = [&hash](const void* data, std::size_t size) {
-    const auto* bytes = static_cast<const unsigned char*>(data);
-    for (std::size_t i = 0; i < size; ++i) hash = (hash ^ bytes[i]) * 0x100000001b3ull;
-  };
-  const auto add_matrix = [&add](const auto& m) {
+  Hash hash;
+  const auto add_matrix = [&hash](const auto& m) {
     const std::uint64_t rows = static_cast<std::uint64_t>(m.rows());
-    add(&rows, sizeof(rows));
-    add(m.data(), static_cast<std::size_t>(m.size()) * sizeof(*m.data()));
+    hash.add(std::as_bytes(std::span(&rows, 1)));
+    hash.add(std::as_bytes(std::span(m.data(), static_cast<std::size_t>(m.size()))));
   };
   add_matrix(t.faces);
   add_matrix(t.uv_faces);
   add_matrix(t.rest_positions);
   add_matrix(t.uv);
-  char text[17];
-  std::snprintf(text, sizeof(text), "%016llx", static_cast<unsigned long long>(hash));
-  return text;
+  return hash.hex();
 }
 
 }  // namespace pleat

@@ -1,5 +1,5 @@
 // Triangle meshes as plain values: the types that every room shares.
-// Units are metres, Y is up, faces are counter-clockwise, arrays are row-major (DESIGN section 4).
+// Units are metres, Y is up, faces are counter-clockwise, arrays are row-major.
 #pragma once
 
 #include <Eigen/Core>

@@ -5,6 +5,7 @@
 #include <system_error>
 
 #include "common/base/own_file.hpp"
+#include "common/base/whole_file.hpp"
 
 namespace pleat::hdf5 {
 namespace {
@@ -126,12 +127,7 @@ void File::close() {
 }
 
 void File::rename(const std::filesystem::path& path) {
-  std::error_code error;
-  std::filesystem::rename(path_, path, error);
-  if (error) {
-    throw Error(ErrorCode::kInternal,
-                path_.string() + ": can't be renamed to " + path.string() + " (" + error.message() + ")");
-  }
+  publish_file(path_, path);
   path_ = path;
 }
 

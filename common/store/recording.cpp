@@ -3,10 +3,9 @@
 #include <fcntl.h>
 #include <unistd.h>
 
-#include <array>
-#include <cstdio>
 #include <numeric>
 
+#include "common/base/hash.hpp"
 #include "common/base/own_file.hpp"
 
 namespace pleat::store {
@@ -263,13 +262,7 @@ void check_range(const hdf5::File& file, std::uint64_t first, std::uint64_t last
   }
 }
 
-std::string fingerprint(const std::string& text) {
-  std::uint64_t hash = 0xcbf29ce484222325u;
-  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
-  std::array<char, 17> digits{};
-  std::snprintf(digits.data(), digits.size(), "%016llx", static_cast<unsigned long long>(hash));
-  return digits.data();
-}
+std::string fingerprint(const std::string& text) { return Hash().add(text).hex(); }
 
 Recording::Recording(Plan plan) : plan_(std::move(plan)), partial_(plan_.path.string() + ".partial") {
   if (plan_.frames == 0 || plan_.frames > kMaxFrames) {

@@ -1,11 +1,11 @@
 // `pleat bench`: figures of this machine.
 #include <algorithm>
 #include <cstdio>
-#include <fstream>
 #include <optional>
 
 #include "common/base/machine.hpp"
 #include "common/base/progress.hpp"
+#include "common/base/whole_file.hpp"
 #include "services/cli/command.hpp"
 #include "services/evaluation/bench.hpp"
 #include "services/evaluation/tables.hpp"
@@ -63,9 +63,7 @@ int tables(BenchChoice choice) {
       });
   if (progress) progress->finish();
   const std::filesystem::path page = options.out / "tables.html";
-  std::ofstream file(page, std::ios::trunc);
-  file << evaluation::to_html(result);
-  if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, page.string() + ": can't write");
+  write_whole_file(page, evaluation::to_html(result));
   if (choice.json) {
     const nlohmann::json json{
         {"tables", to_json(result)}, {"machine", machine_info()}, {"git_revision", git_revision()}};
@@ -129,7 +127,7 @@ std::vector<Command> add_bench(CLI::App& root) {
                      "data set (default: out/dataset/draping-full, else out/dataset/draping)");
   tables->add_option("--hitting", choice->tables.hitting, "the same for HITTING");
   tables->add_option("--trained", choice->tables.trained, "folder of trainings")->capture_default_str();
-  tables->add_option("--every", choice->tables.every, "every so-manieth frame of the test sequences is measured")
+  tables->add_option("--every", choice->tables.every, "of each test sequence every N-th frame is measured")
       ->capture_default_str()
       ->check(positive_number());
   tables->add_option("--first", choice->tables.frames, "the first so many frames of each test sequence only")

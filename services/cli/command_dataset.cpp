@@ -5,38 +5,15 @@
 #include "common/base/progress.hpp"
 #include "common/base/signals.hpp"
 #include "services/cli/command.hpp"
-#include "services/dataset/generate.hpp"
-#include "services/dataset/verify.hpp"
+#include "services/dataset/commands.hpp"
 
 namespace pleat::cli {
 namespace {
 
-struct GenerateChoice {
-  std::string folder, set = "draping", scale = "small", fine = "tracked";
-  std::string garment = "deploy/garments/tablecloth.obj", material = "deploy/materials/gray-interlock.json";
-  int frames = 0, train = -1, test = -1, extra = 0, workers = 0;
-  std::uint64_t seed = 1;
-  bool deflate = true;
-};
-
-int generate(const GenerateChoice& choice) {
+int generate(const dataset::GenerateChoice& choice) {
   // The work resumes from disk: being stopped at once is the fastest clean end.
   restore_signal_handlers();
-  dataset::GenerateOptions options;
-  options.folder = choice.folder;
-  options.scenes.set = choice.set;
-  const dataset::SetSize size = dataset::set_size(choice.set, choice.scale == "full");
-  options.scenes.train = choice.train >= 0 ? choice.train : size.train;
-  options.scenes.test = choice.test >= 0 ? choice.test : size.test;
-  options.scenes.extra = choice.extra;
-  options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
-  options.scenes.seed = choice.seed;
-  options.scenes.tracked = choice.fine == "tracked";
-  options.scenes.garment = choice.garment;
-  options.scenes.material = choice.material;
-  options.workers = choice.workers;
-  options.deflate = choice.deflate;
-  options.git_revision = git_revision();
+  const dataset::GenerateOptions options = dataset::generate_options(choice, git_revision());
   std::unique_ptr<Progress> shown;
   dataset::generate(options, [&shown](const dataset::Progress& progress) {
     if (!shown) shown = std::make_unique<Progress>("frames", progress.frames);
@@ -46,27 +23,8 @@ int generate(const GenerateChoice& choice) {
     if (!progress.message.empty()) shown->line(progress.message);
   });
   if (shown) shown->finish();
-  for (const std::string& line : dataset::describe(options.folder)) std::printf("%s\n", line.c_str());
+  dataset::print_description(choice.folder);
   return kExitDone;
-}
-
-int verify(const std::string& folder, std::uint64_t stride) {
-  const auto report = dataset::verify(folder, {stride}, [](const std::string& line) {
-    std::printf("%s\n", line.c_str());
-    std::fflush(stdout);
-  });
-  for (const std::string& problem : report.problems) std::printf("problem: %s\n", problem.c_str());
-  std::printf(
-      "%llu sequences, %llu frames, %llu judged: %llu self-intersections, %llu penetrations; feature vertices %.4f m "
-      "off on average, %.4f m at most\n",
-      static_cast<unsigned long long>(report.sequences), static_cast<unsigned long long>(report.frames),
-      static_cast<unsigned long long>(report.frames_judged), static_cast<unsigned long long>(report.self_intersections),
-      static_cast<unsigned long long>(report.penetrations), report.feature_distance_mean_m,
-      report.feature_distance_max_m);
-  if (report.problems.empty()) return kExitDone;
-  std::fflush(stdout);
-  print_error(folder + ": " + std::to_string(report.problems.size()) + " problems, the first: " + report.problems[0]);
-  return kExitFailed;
 }
 
 }  // namespace
@@ -76,27 +34,9 @@ std::vector<Command> add_dataset(CLI::App& root) {
   app->require_subcommand(0, 1);
 
   CLI::App* make = app->add_subcommand("generate", "simulate what is missing of a data set; resumes");
-  const auto choice = std::make_shared<GenerateChoice>();
+  const auto choice = std::make_shared<dataset::GenerateChoice>();
   make->add_option("folder", choice->folder, "folder of the data set")->required();
-  make->add_option("--set", choice->set, "scenes")->capture_default_str()->check(CLI::IsMember({"draping", "hitting"}));
-  make->add_option("--scale", choice->scale,
-                   "frames a sequence; small: 150, full: the paper's 400 (draping) or 1,000 (hitting)")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"small", "full"}));
-  make->add_option("--fine", choice->fine, "the fine cloth follows the coarse one, or goes its own way")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"tracked", "free"}));
-  make->add_option("--frames", choice->frames, "frames a sequence, instead of the scale's")->check(positive_number());
-  make->add_option("--train", choice->train, "sequences for training (default: 10 or 27)")->check(natural_number());
-  make->add_option("--test", choice->test, "sequences for testing (default: 3 or 8)")->check(natural_number());
-  make->add_option("--extra", choice->extra, "further sequences for training, behind the others, which stay the same")
-      ->capture_default_str()
-      ->check(natural_number());
-  make->add_option("--seed", choice->seed, "seed of the scenes")->capture_default_str()->check(natural_number());
-  make->add_option("--workers", choice->workers, "processes (default: one a processor)")->check(positive_number());
-  make->add_option("--garment", choice->garment, "coarse garment, OBJ")->capture_default_str();
-  make->add_option("--material", choice->material, "material, ARCSim JSON")->capture_default_str();
-  make->add_flag("--deflate,!--no-deflate", choice->deflate, "compress finished sequences (default: yes)");
+  dataset::add_generate_options(*make, *choice);
 
   CLI::App* info = app->add_subcommand("info", "what is in a data set");
   const auto info_folder = std::make_shared<std::string>();
@@ -113,10 +53,13 @@ std::vector<Command> add_dataset(CLI::App& root) {
   return {{make, [choice] { return generate(*choice); }},
           {info,
            [info_folder] {
-             for (const std::string& line : dataset::describe(*info_folder)) std::printf("%s\n", line.c_str());
+             dataset::print_description(*info_folder);
              return kExitDone;
            }},
-          {check, [check_folder, stride] { return verify(*check_folder, *stride); }}};
+          {check, [check_folder, stride] {
+             dataset::verify_and_print(*check_folder, *stride);
+             return kExitDone;
+           }}};
 }
 
 }  // namespace pleat::cli

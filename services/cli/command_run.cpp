@@ -8,6 +8,7 @@
 #include "common/base/signals.hpp"
 #include "common/client/adapter/adapter.hpp"
 #include "common/client/cpp/client.hpp"
+#include "common/frame/scene_json.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
@@ -98,7 +99,7 @@ class Run {
     request.set_reference(options_.reference);
     const std::uint32_t frames = options_.frames > 0 ? options_.frames : scene.frames();
     const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
-    RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, presentation::scene_json(scene), {}});
+    RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, scene_json(scene), {}});
     *request.mutable_scene() = std::move(scene);
 
     v1::Job job = client_->create_job(request);

@@ -1,4 +1,4 @@
-// Features scaled to [0, 1] per channel, with the range of the training split (DESIGN section 4).
+// Features scaled to [0, 1] per channel, with the range of the training split (docs/file-formats.md, /normalization).
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// The fitted fine image (DESIGN section 5): texels chosen so that bilinear reads reproduce the vertices. Internal.
+// The fitted fine image (docs/conversion.md): texels chosen so that bilinear reads reproduce the vertices. Internal.
 #pragma once
 
 #include <vector>

@@ -1,12 +1,12 @@
 // The two phases of a job: enhance (simulation, pipeline, result file) and the reference simulation.
-#include <google/protobuf/util/json_util.h>
-
 #include <algorithm>
 #include <cstring>
 #include <map>
 #include <utility>
 
+#include "common/base/whole_file.hpp"
 #include "common/frame/messages.hpp"
+#include "common/frame/scene_json.hpp"
 #include "common/telemetry/stage_timer.hpp"
 #include "services/coordinator/job_runner.hpp"
 #include "services/coordinator/recorder.hpp"
@@ -20,21 +20,6 @@ namespace fs = std::filesystem;
 
 constexpr double kDefaultFrameTime = 0.04;
 constexpr std::uint32_t kDefaultSubdivisionRounds = 2;
-
-/// The scene as result.h5 keeps it: without meshes and animations, which the file holds as arrays.
-std::string scene_json(v1::Scene scene) {
-  scene.clear_garment();
-  for (v1::Obstacle& obstacle : *scene.mutable_obstacles()) {
-    if (obstacle.has_mesh()) obstacle.clear_shape();
-    if (obstacle.has_animation()) obstacle.mutable_animation()->clear_positions();
-  }
-  google::protobuf::util::JsonPrintOptions options;
-  options.preserve_proto_field_names = true;
-  std::string json;
-  const auto status = google::protobuf::util::MessageToJsonString(scene, &json, options);
-  if (!status.ok()) throw_internal("scene: " + status.ToString());
-  return json;
-}
 
 std::uint64_t frames_on_disk(const fs::path& file) {
   if (!fs::exists(file)) return 0;
@@ -226,7 +211,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
     if (bundle && first > 0) {
       require_same_bundle(*bundle, session.model);
     } else {
-      replace_file(folder / "bundle.pb", session.model.SerializeAsString());
+      write_whole_file(folder / "bundle.pb", session.model.SerializeAsString());
     }
     EnhancementPipeline pipeline(
         addresses_, link_, session, fine_vertices, topology_hash(subdivision.fine),

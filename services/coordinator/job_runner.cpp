@@ -4,6 +4,7 @@
 #include <cstring>
 #include <utility>
 
+#include "common/base/whole_file.hpp"
 #include "common/frame/messages.hpp"
 #include "common/store/result.hpp"
 #include "services/coordinator/simulation_source.hpp"
@@ -29,7 +30,7 @@ void save_checkpoint(const fs::path& path, const Checkpoint& checkpoint) {
   std::string content(kCheckpointMagic, sizeof kCheckpointMagic);
   content.append(reinterpret_cast<const char*>(&checkpoint.index), sizeof checkpoint.index);
   content += checkpoint.state;
-  replace_file(path, content);
+  write_whole_file(path, content);
 }
 
 std::optional<Checkpoint> load_checkpoint(const fs::path& path) {

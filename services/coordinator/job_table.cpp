@@ -1,6 +1,5 @@
 #include "services/coordinator/job_table.hpp"
 
-#include <fcntl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -11,6 +10,7 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 
 namespace pleat::coordinator {
 namespace {
@@ -28,45 +28,7 @@ std::string random_id(const std::string& scene_name) {
   return id;
 }
 
-class FileDescriptor {
- public:
-  FileDescriptor(const fs::path& path, int flags) : fd_(::open(path.c_str(), flags | O_CLOEXEC, 0644)) {}
-  ~FileDescriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  FileDescriptor(const FileDescriptor&) = delete;
-  FileDescriptor& operator=(const FileDescriptor&) = delete;
-  int get() const { return fd_; }
-
- private:
-  int fd_;
-};
-
 }  // namespace
-
-void replace_file(const fs::path& path, const std::string& content) {
-  fs::path temporary = path;
-  temporary += ".new";
-  const auto fail = [&](const char* what) {
-    const std::string cause = std::strerror(errno);
-    std::error_code ignored;
-    fs::remove(temporary, ignored);
-    throw Error(ErrorCode::kResourceExhausted, path.string() + ": " + what + ": " + cause);
-  };
-  {
-    const FileDescriptor file(temporary, O_WRONLY | O_CREAT | O_TRUNC);
-    if (file.get() < 0) fail("can't be made");
-    std::size_t written = 0;
-    while (written < content.size()) {
-      const ssize_t count = ::write(file.get(), content.data() + written, content.size() - written);
-      if (count < 0 && errno == EINTR) continue;
-      if (count < 0) fail("can't be written");
-      written += static_cast<std::size_t>(count);
-    }
-    if (::fdatasync(file.get()) != 0) fail("can't be written");
-  }
-  if (::rename(temporary.c_str(), path.c_str()) != 0) fail("can't be replaced");
-}
 
 std::optional<std::string> read_file(const fs::path& path) {
   if (!fs::exists(path)) return std::nullopt;
@@ -126,7 +88,7 @@ std::pair<JobRecord, bool> JobTable::create(const JobRequest& request) {
   fs::create_directories(folder, error);
   if (error) throw Error(ErrorCode::kResourceExhausted, folder.string() + ": " + error.message());
   // The record comes last: a folder without one is no job.
-  replace_file(folder / "request.pb", request.request);
+  write_whole_file(folder / "request.pb", request.request);
   save(entry);
   const auto made = entries_.emplace(entry.record.id, std::move(entry)).first;
   changed_.notify_all();
@@ -204,7 +166,7 @@ const JobTable::Entry& JobTable::find(const std::string& id) const {
 }
 
 void JobTable::save(Entry& entry) {
-  replace_file(jobs_ / entry.record.id / "job.json", to_json(entry.record));
+  write_whole_file(jobs_ / entry.record.id / "job.json", to_json(entry.record));
   entry.saved = std::chrono::steady_clock::now();
 }
 

@@ -74,8 +74,6 @@ class JobTable {
   std::uint64_t next_order_ = 1;
 };
 
-/// Replaces `path` by `content`: written beside it, synchronised, renamed. Throws kResourceExhausted naming the file.
-void replace_file(const std::filesystem::path& path, const std::string& content);
 /// The content, or nothing if there is no such file. Throws kDataLoss if it can't be read.
 std::optional<std::string> read_file(const std::filesystem::path& path);
 

@@ -8,6 +8,7 @@
 #include <random>
 
 #include "common/base/error.hpp"
+#include "common/base/random.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/obj.hpp"
 
@@ -21,9 +22,7 @@ constexpr double kDegree = std::numbers::pi / 180;
 class Random {
  public:
   explicit Random(std::uint64_t seed) : engine_(seed) {}
-  double uniform(double low, double high) {
-    return low + (high - low) * static_cast<double>(engine_() >> 11) * 0x1.0p-53;
-  }
+  double uniform(double low, double high) { return low + (high - low) * unit_interval(engine_()); }
   std::size_t below(std::size_t count) { return static_cast<std::size_t>(uniform(0, static_cast<double>(count))); }
 
  private:

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 #include "common/store/dataset.hpp"
 #include "services/simulation/simulation.hpp"
 
@@ -30,12 +31,7 @@ simulation::Mode mode_of(const SequencePlan& plan) {
 
 void save_checkpoint(const fs::path& path, const simulation::Simulation& simulation) {
   const std::vector<std::byte> bytes = simulation.checkpoint();
-  const fs::path partial = path.string() + ".partial";
-  std::ofstream stream(partial, std::ios::binary);
-  stream.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
-  stream.close();
-  if (!stream) throw Error(ErrorCode::kResourceExhausted, partial.string() + ": can't be written, is the disk full?");
-  fs::rename(partial, path);
+  write_whole_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 
 /// Restores the check-point if there is one that helps: not beyond the recorded frames, and of this very scene.

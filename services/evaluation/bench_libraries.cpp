@@ -97,8 +97,6 @@ void add_round_trip_table(const Frames& frames, const std::string& prefix, Figur
   add("768x512", published, std::max<std::size_t>(1, frames.count / 10));
 }
 
-double decibels(double mean_square_error) { return -10 * std::log10(mean_square_error); }
-
 }  // namespace
 
 std::filesystem::path scene_or(const BenchOptions& options, const std::string& name) {
@@ -209,8 +207,8 @@ Figures bench_refinement(const BenchOptions& options) {
                   {"mean_move", {mean(std::accumulate(moves.begin(), moves.end(), 0.0)), runs, "m"}},
                   {"largest_move", {*std::max_element(largest.begin(), largest.end()), runs, "m"}}};
   if (error > 0 && error_before > 0) {
-    figures.push_back({"psnr_before", {decibels(mean(error_before)), runs, "dB"}});
-    figures.push_back({"psnr", {decibels(mean(error)), runs, "dB"}});
+    figures.push_back({"psnr_before", {psnr_db(mean(error_before)), runs, "dB"}});
+    figures.push_back({"psnr", {psnr_db(mean(error)), runs, "dB"}});
   }
   return figures;
 }

@@ -45,8 +45,8 @@ struct MethodFigures {
 struct EvaluationOptions {
   std::vector<std::string> sequences;  ///< empty: the split "test", or all if there is none
   std::uint64_t frames = 0;            ///< of each sequence at most; 0: all
-  /// Every so-manieth frame is measured, though methods make all. Figures over time (jitter, STED's temporal part) then
-  /// are of frames so far apart.
+  /// Every n-th frame is measured, n being this, though methods make all. Figures over time (jitter, STED's temporal
+  /// part) then are of frames so far apart.
   std::uint64_t every = 1;
 };
 

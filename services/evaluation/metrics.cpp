@@ -6,6 +6,7 @@
 #include <string>
 
 #include "common/base/error.hpp"
+#include "common/base/statistics.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "services/conversion/image_map.hpp"
 #include "services/evaluation/surface_distance.hpp"
@@ -51,11 +52,6 @@ struct WeightedDeviation {
 double vertex_mean_square_error(const Positions& a, const Positions& b) {
   check_pair(a, b);
   return (a.cast<double>() - b.cast<double>()).squaredNorm() / static_cast<double>(a.rows());
-}
-
-double psnr_db(double mse, double peak) {
-  if (mse <= 0) return std::numeric_limits<double>::infinity();
-  return 10 * std::log10(peak * peak / mse);
 }
 
 StedAccumulator::StedAccumulator(Eigen::Index vertex_count, const Faces& faces, const StedOptions& options)
@@ -306,7 +302,7 @@ MetricValues MetricsAccumulator::values() const {
   values.frames = frames_;
   if (frames_ == 0) return values;
   const auto n = static_cast<double>(frames_);
-  if (image_error_ && image_mse_sum_ > 0) values.psnr_db = psnr_db(image_mse_sum_ / n);
+  if (image_error_ && image_mse_sum_ > 0) values.psnr_db = pleat::psnr_db(image_mse_sum_ / n);
   values.vmse_m2 = vmse_sum_ / n;
   values.rmse_m = std::sqrt(values.vmse_m2);
   values.hausdorff_m = hausdorff_sum_ / n;

@@ -22,9 +22,6 @@ namespace pleat::evaluation {
 /// 0.
 double vertex_mean_square_error(const Positions& a, const Positions& b);
 
-/// 10 log10(peak^2 / mse), dB; infinite for mse 0.
-double psnr_db(double mse, double peak = 1);
-
 /// Parameters of STED as its authors recommend them.
 struct StedOptions {
   double temporal_step = 0.002;   ///< length of a frame's step in units of the bounding box diagonal

@@ -18,9 +18,9 @@ struct TablesOptions {
   std::filesystem::path models;                 ///< shipped bundles; empty: default_models_folder()
   std::filesystem::path configurations = "deploy/models";  ///< of the commands that train
   std::filesystem::path out = "out/bench";                 ///< tables.html, logs and files of the services
-  std::size_t every = 10;                                  ///< every so-manieth frame of the test sequences is measured
-  std::size_t frames = 0;                                  ///< of each test sequence at most; 0: all
-  std::size_t timed_frames = 10;                           ///< simulated for Table 1; 0: no times of the simulation
+  std::size_t every = 10;         ///< of the test sequences every n-th frame is measured, n being this
+  std::size_t frames = 0;         ///< of each test sequence at most; 0: all
+  std::size_t timed_frames = 10;  ///< simulated for Table 1; 0: no times of the simulation
 };
 
 /// One figure of the paper and ours.

@@ -1,4 +1,4 @@
-// Moves cloth out of obstacles and keeps its wrinkles (DESIGN section 5; [DT-S] section 2.3).
+// Moves cloth out of obstacles and keeps its wrinkles (docs/refinement.md; [DT-S] section 2.3).
 #pragma once
 
 #include <optional>

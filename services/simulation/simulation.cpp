@@ -10,7 +10,9 @@
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/hash.hpp"
 #include "common/base/parallel.hpp"
+#include "common/base/random.hpp"
 #include "services/simulation/cloth.hpp"
 #include "services/simulation/handle_watch.hpp"
 #include "services/simulation/obstacles.hpp"
@@ -100,12 +102,6 @@ class Reader {
   std::span<const std::byte> bytes_;
 };
 
-std::uint64_t hash_bytes(std::span<const std::byte> bytes) {
-  std::uint64_t hash = 0xcbf29ce484222325ull;
-  for (const std::byte b : bytes) hash = (hash ^ static_cast<std::uint64_t>(b)) * 0x100000001b3ull;
-  return hash;
-}
-
 // What a check-point must agree on: everything that decides the motion.
 std::uint64_t scene_fingerprint(const Scene& s, Mode mode) {
   std::vector<std::byte> bytes;
@@ -172,7 +168,7 @@ std::uint64_t scene_fingerprint(const Scene& s, Mode mode) {
   }
   if (s.untangle) w.flag(true);
   if (s.subdivision_rule != SubdivisionRule::kMidpoint) w.value(static_cast<int>(s.subdivision_rule));
-  return hash_bytes(bytes);
+  return Hash().add(bytes).value();
 }
 
 // A smooth random field: a few waves over the rest shape, the same for every mesh of the garment.
@@ -180,8 +176,7 @@ class SmoothNoise {
  public:
   SmoothNoise(std::uint64_t seed, double extent) {
     std::mt19937_64 random(seed ^ 0x9e3779b97f4a7c15ull);
-    // Not std::uniform_real_distribution: its sequence is not the same everywhere.
-    const auto uniform = [&random] { return static_cast<double>(random() >> 11) * 0x1p-53; };
+    const auto uniform = [&random] { return unit_interval(random()); };
     for (int i = 0; i < 12; ++i) {
       Vector3d direction(2 * uniform() - 1, 2 * uniform() - 1, 2 * uniform() - 1);
       const double waves = 1 + 5 * uniform();
@@ -458,7 +453,7 @@ std::vector<std::byte> Simulation::checkpoint() const {
   writer.value(kVersion);
   writer.value(scene_fingerprint(state_->scene, state_->mode));
   state_->archive(writer);
-  writer.value(hash_bytes(bytes));
+  writer.value(Hash().add(bytes).value());
   return bytes;
 }
 
@@ -477,7 +472,7 @@ void Simulation::restore(std::span<const std::byte> bytes) {
     throw_invalid_argument("simulation check-point: version " + std::to_string(version) + ", expected " +
                            std::to_string(kVersion));
   }
-  if (hash_bytes(content) != hash) throw_data_loss("simulation check-point: truncated or corrupt");
+  if (Hash().add(content).value() != hash) throw_data_loss("simulation check-point: truncated or corrupt");
   reader.value(fingerprint);
   if (fingerprint != scene_fingerprint(state_->scene, state_->mode)) {
     throw_invalid_argument("simulation check-point: belongs to another scene");

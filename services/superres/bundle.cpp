@@ -1,14 +1,9 @@
 #include "services/superres/bundle.hpp"
 
-#include <fcntl.h>
-#include <unistd.h>
-
-#include <cerrno>
-#include <cstring>
-#include <filesystem>
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -20,31 +15,10 @@ std::string first_line(const std::string& text) { return text.substr(0, text.fin
 
 }  // namespace
 
-void publish_file(const std::string& bytes, const std::string& path) {
-  const std::string partial = path + ".partial";
-  const auto fail = [&](int cause) {
-    throw Error(ErrorCode::kResourceExhausted, partial + ": can't write: " + std::strerror(cause));
-  };
-  const int file = ::open(partial.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
-  if (file < 0) fail(errno);
-  int cause = 0;
-  for (std::size_t done = 0; done < bytes.size() && cause == 0;) {
-    const ssize_t written = ::write(file, bytes.data() + done, bytes.size() - done);
-    if (written >= 0) done += static_cast<std::size_t>(written);
-    if (written < 0 && errno != EINTR) cause = errno;
-  }
-  if (cause == 0 && ::fsync(file) != 0) cause = errno;
-  ::close(file);
-  if (cause != 0) fail(cause);
-  std::error_code error;
-  std::filesystem::rename(partial, path, error);
-  if (error) throw Error(ErrorCode::kResourceExhausted, path + ": can't rename: " + error.message());
-}
-
 void save_bundle(const torch::jit::Module& module, const Metadata& metadata, const std::string& path) {
   std::ostringstream archive;
   module.save(archive, {{kMetadataFile, to_json(metadata)}});
-  publish_file(archive.str(), path);
+  write_whole_file(path, archive.str());
 }
 
 torch::jit::Module load_bundle(const std::string& path, Metadata& metadata) {

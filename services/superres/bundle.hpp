@@ -10,14 +10,9 @@
 
 namespace pleat::superres {
 
-/// Writes module and metadata to `path`: to `path`.partial first, then renamed, so that a reader never sees half.
-/// Errors: kResourceExhausted or kInvalidArgument naming the file.
+/// Writes module and metadata to `path` with write_whole_file(). (LibTorch's own writer ends the process when the disk
+/// is full.) Errors: kResourceExhausted or kInvalidArgument naming the file.
 void save_bundle(const torch::jit::Module& module, const Metadata& metadata, const std::string& path);
-
-/// Writes `path`.partial, flushes it to the disk and renames it: a kill or a full disk at any moment leaves the old
-/// file or the new one. (LibTorch's own writer ends the process when the disk is full.) kResourceExhausted naming the
-/// file.
-void publish_file(const std::string& bytes, const std::string& path);
 
 /// Loads both. Errors as read_metadata.
 torch::jit::Module load_bundle(const std::string& path, Metadata& metadata);

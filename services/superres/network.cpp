@@ -6,6 +6,7 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/base/random.hpp"
 #include "services/superres/cpu/kernels.hpp"
 
 namespace pleat::superres {
@@ -44,15 +45,6 @@ constexpr const char* kLocalScript = R"(
     q.append(torch.sum(p[:, 6:9] * c, [1], True))
   i = ((torch.cat(q, 1) - self.local_mean) / self.local_deviation).clamp(-6.0, 6.0)
 )";
-
-/// splitmix64: small, and the same everywhere, unlike the standard library's distributions.
-std::uint64_t next_random(std::uint64_t& state) {
-  state += 0x9E3779B97F4A7C15ull;
-  std::uint64_t z = state;
-  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ull;
-  z = (z ^ (z >> 27)) * 0x94D049BB133111EBull;
-  return z ^ (z >> 31);
-}
 
 torch::Tensor channel_tensor(const std::vector<float>& values) {
   return torch::tensor(values, torch::kFloat32).view({1, -1, 1, 1});
@@ -209,7 +201,7 @@ void Network::add_convolution(const std::string& name, int in, int out, int kern
   for (const torch::Tensor& tensor : {weight, bias}) {
     float* values = tensor.data_ptr<float>();
     for (std::int64_t i = 0; i < tensor.numel(); ++i) {
-      const double uniform = static_cast<double>(next_random(random_state_) >> 11) * 0x1.0p-53;
+      const double uniform = unit_interval(split_mix(random_state_));
       values[i] = static_cast<float>(bound * (2 * uniform - 1));
     }
   }

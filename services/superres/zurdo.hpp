@@ -50,7 +50,7 @@ class ZurdoWrinkles {
   std::unique_ptr<State> state_;
 };
 
-/// The frames of a data set's training split, every so-manieth, so that at most `most` are offered. Throws kNotFound if
+/// The frames of a data set's training split, every n-th, so that at most `most` are offered. Throws kNotFound if
 /// there are none.
 ZurdoWrinkles train_zurdo(const DatasetReader& dataset, const ZurdoOptions& options = {}, std::size_t most = 1000);
 

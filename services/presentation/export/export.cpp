@@ -29,20 +29,6 @@ std::string numbered(const std::string& name, std::size_t frame, std::size_t cou
   return name + "." + number + "." + ending;
 }
 
-void write_obj_whole(const std::filesystem::path& path, const Topology& topology, const Positions& positions) {
-  std::filesystem::path temporary = path;
-  temporary += ".tmp";
-  std::error_code failure;
-  try {
-    write_obj(temporary, topology, positions);
-  } catch (...) {
-    std::filesystem::remove(temporary, failure);
-    throw;
-  }
-  std::filesystem::rename(temporary, path, failure);
-  if (failure) throw_invalid_argument(path.string() + ": can't be replaced: " + failure.message());
-}
-
 }  // namespace
 
 ExportFormat parse_export_format(const std::string& name) {
@@ -102,7 +88,7 @@ std::vector<std::filesystem::path> export_frames(const ExportInput& input, Expor
     for (std::size_t t = 0; t < input.frame_count; ++t) {
       files.push_back(folder / numbered(input.name, t, input.frame_count, obj ? "obj" : "ply"));
       if (obj) {
-        write_obj_whole(files.back(), input.topology, frame(t));
+        write_obj(files.back(), input.topology, frame(t));
       } else {
         write_ply(files.back(), input.topology, frame(t));
       }
@@ -116,7 +102,7 @@ std::vector<std::filesystem::path> export_frames(const ExportInput& input, Expor
   }
   // The shape that the cache moves: tools load it first and attach the cache to it.
   files.push_back(folder / (input.name + ".obj"));
-  write_obj_whole(files.back(), input.topology, input.topology.rest_positions);
+  write_obj(files.back(), input.topology, input.topology.rest_positions);
   const bool pc2 = format == ExportFormat::kPc2;
   files.push_back(folder / (input.name + (pc2 ? ".pc2" : ".mdd")));
   if (pc2) {

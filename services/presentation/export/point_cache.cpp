@@ -1,17 +1,27 @@
 // PLY, PC2 and MDD: headers and raw numbers.
-#include <cstring>
+#include <bit>
+#include <cstdint>
 #include <limits>
 
 #include "common/base/error.hpp"
-#include "services/presentation/export/output_file.hpp"
+#include "common/base/whole_file.hpp"
 #include "services/presentation/export/writers.hpp"
 
 namespace pleat::presentation {
 
 namespace {
 
-void write_positions(OutputFile& file, const Positions& positions, std::endian order) {
-  for (Eigen::Index i = 0; i < positions.size(); ++i) file.number(positions.data()[i], order);
+/// A float or 32-bit integer in the byte order asked for.
+template <class T>
+void write_number(WholeFile& file, T value, std::endian order) {
+  static_assert(sizeof(T) == 4);
+  auto bits = std::bit_cast<std::uint32_t>(value);
+  if (order != std::endian::native) bits = __builtin_bswap32(bits);
+  file.write({reinterpret_cast<const char*>(&bits), sizeof bits});
+}
+
+void write_positions(WholeFile& file, const Positions& positions, std::endian order) {
+  for (Eigen::Index i = 0; i < positions.size(); ++i) write_number(file, positions.data()[i], order);
 }
 
 std::int32_t count_for(const std::filesystem::path& path, std::size_t count, const char* what) {
@@ -25,19 +35,20 @@ std::int32_t count_for(const std::filesystem::path& path, std::size_t count, con
 
 void write_ply(const std::filesystem::path& path, const Topology& topology, const Positions& positions) {
   const Positions normals = vertex_normals(positions, topology.faces);
-  OutputFile file(path);
-  file.text("ply\nformat binary_little_endian 1.0\ncomment metres, Y up\nelement vertex " +
-            std::to_string(positions.rows()) +
-            "\nproperty float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\n"
-            "property float nz\nelement face " +
-            std::to_string(topology.face_count()) + "\nproperty list uchar uint vertex_indices\nend_header\n");
+  WholeFile file(path);
+  file.write("ply\nformat binary_little_endian 1.0\ncomment metres, Y up\nelement vertex " +
+             std::to_string(positions.rows()) +
+             "\nproperty float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\n"
+             "property float nz\nelement face " +
+             std::to_string(topology.face_count()) + "\nproperty list uchar uint vertex_indices\nend_header\n");
   for (Eigen::Index v = 0; v < positions.rows(); ++v) {
-    for (Eigen::Index axis = 0; axis < 3; ++axis) file.number(positions(v, axis), std::endian::little);
-    for (Eigen::Index axis = 0; axis < 3; ++axis) file.number(normals(v, axis), std::endian::little);
+    for (Eigen::Index axis = 0; axis < 3; ++axis) write_number(file, positions(v, axis), std::endian::little);
+    for (Eigen::Index axis = 0; axis < 3; ++axis) write_number(file, normals(v, axis), std::endian::little);
   }
   for (Eigen::Index f = 0; f < topology.face_count(); ++f) {
-    file.text("\3");
-    for (Eigen::Index corner = 0; corner < 3; ++corner) file.number(topology.faces(f, corner), std::endian::little);
+    file.write("\3");
+    for (Eigen::Index corner = 0; corner < 3; ++corner)
+      write_number(file, topology.faces(f, corner), std::endian::little);
   }
   file.commit();
 }
@@ -47,24 +58,24 @@ void write_pc2(const std::filesystem::path& path, const ExportInput& input, cons
   constexpr std::int32_t kVersion = 1;
   constexpr float kStartFrame = 0;
   constexpr float kSampleRate = 1;  // samples per frame
-  OutputFile file(path);
-  file.text(std::string_view("POINTCACHE2\0", 12));
-  file.number(kVersion, kOrder);
-  file.number(count_for(path, static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
-  file.number(kStartFrame, kOrder);
-  file.number(kSampleRate, kOrder);
-  file.number(count_for(path, input.frame_count, "frames"), kOrder);
+  WholeFile file(path);
+  file.write(std::string_view("POINTCACHE2\0", 12));
+  write_number(file, kVersion, kOrder);
+  write_number(file, count_for(path, static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
+  write_number(file, kStartFrame, kOrder);
+  write_number(file, kSampleRate, kOrder);
+  write_number(file, count_for(path, input.frame_count, "frames"), kOrder);
   for (std::size_t t = 0; t < input.frame_count; ++t) write_positions(file, frame(t), kOrder);
   file.commit();
 }
 
 void write_mdd(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame) {
   constexpr std::endian kOrder = std::endian::big;
-  OutputFile file(path);
-  file.number(count_for(path, input.frame_count, "frames"), kOrder);
-  file.number(count_for(path, static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
+  WholeFile file(path);
+  write_number(file, count_for(path, input.frame_count, "frames"), kOrder);
+  write_number(file, count_for(path, static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
   for (std::size_t t = 0; t < input.frame_count; ++t) {
-    file.number(static_cast<float>(static_cast<double>(t) * input.frame_time_s), kOrder);
+    write_number(file, static_cast<float>(static_cast<double>(t) * input.frame_time_s), kOrder);
   }
   for (std::size_t t = 0; t < input.frame_count; ++t) write_positions(file, frame(t), kOrder);
   file.commit();

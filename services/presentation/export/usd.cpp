@@ -2,7 +2,7 @@
 #include <charconv>
 
 #include "common/base/error.hpp"
-#include "services/presentation/export/output_file.hpp"
+#include "common/base/whole_file.hpp"
 #include "services/presentation/export/writers.hpp"
 
 namespace pleat::presentation {
@@ -69,28 +69,29 @@ void write_usda(const std::filesystem::path& path, const ExportInput& input, con
   std::string rate;
   append_number(rate, 1.0 / input.frame_time_s);
   const std::string last = std::to_string(input.frame_count - 1);
-  OutputFile file(path);
-  file.text("#usda 1.0\n(\n    defaultPrim = \"" + prim + "\"\n    endTimeCode = " + last + "\n    framesPerSecond = " +
-            rate + "\n    metersPerUnit = 1\n    startTimeCode = 0\n    timeCodesPerSecond = " + rate +
-            "\n    upAxis = \"Y\"\n)\n\ndef Mesh \"" + prim + "\"\n{\n    uniform bool doubleSided = 1\n");
-  file.text("    int[] faceVertexCounts = [");
-  for (Eigen::Index f = 0; f < topology.face_count(); ++f) file.text(f == 0 ? "3" : ", 3");
-  file.text("]\n    int[] faceVertexIndices = " + indices(topology.faces) +
-            "\n    uniform token orientation = \"rightHanded\"\n");
-  file.text("    point3f[] points.timeSamples = {\n");
+  WholeFile file(path);
+  file.write("#usda 1.0\n(\n    defaultPrim = \"" + prim + "\"\n    endTimeCode = " + last +
+             "\n    framesPerSecond = " + rate +
+             "\n    metersPerUnit = 1\n    startTimeCode = 0\n    timeCodesPerSecond = " + rate +
+             "\n    upAxis = \"Y\"\n)\n\ndef Mesh \"" + prim + "\"\n{\n    uniform bool doubleSided = 1\n");
+  file.write("    int[] faceVertexCounts = [");
+  for (Eigen::Index f = 0; f < topology.face_count(); ++f) file.write(f == 0 ? "3" : ", 3");
+  file.write("]\n    int[] faceVertexIndices = " + indices(topology.faces) +
+             "\n    uniform token orientation = \"rightHanded\"\n");
+  file.write("    point3f[] points.timeSamples = {\n");
   std::string extents;
   for (std::size_t t = 0; t < input.frame_count; ++t) {
     const Positions positions = frame(t);
-    file.text("        " + std::to_string(t) + ": " + tuples(positions) + ",\n");
+    file.write("        " + std::to_string(t) + ": " + tuples(positions) + ",\n");
     extents += "        " + std::to_string(t) + ": " + extent(positions) + ",\n";
   }
-  file.text("    }\n    float3[] extent.timeSamples = {\n" + extents + "    }\n");
+  file.write("    }\n    float3[] extent.timeSamples = {\n" + extents + "    }\n");
   if (topology.uv.rows() > 0) {
-    file.text("    texCoord2f[] primvars:st = " + tuples(topology.uv) +
-              " (\n        interpolation = \"faceVarying\"\n    )\n    int[] primvars:st:indices = " +
-              indices(topology.uv_faces) + "\n");
+    file.write("    texCoord2f[] primvars:st = " + tuples(topology.uv) +
+               " (\n        interpolation = \"faceVarying\"\n    )\n    int[] primvars:st:indices = " +
+               indices(topology.uv_faces) + "\n");
   }
-  file.text("    uniform token subdivisionScheme = \"none\"\n}\n");
+  file.write("    uniform token subdivisionScheme = \"none\"\n}\n");
   file.commit();
 }
 

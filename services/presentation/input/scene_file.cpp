@@ -218,18 +218,4 @@ v1::Scene read_scene_file(const fs::path& path) {
   return parse_scene(read_text(path, ""), path.string(), path.parent_path());
 }
 
-std::string scene_json(const v1::Scene& scene) {
-  v1::Scene bare = scene;
-  bare.clear_garment();
-  for (v1::Obstacle& obstacle : *bare.mutable_obstacles()) {
-    if (obstacle.has_mesh()) obstacle.clear_shape();
-    if (obstacle.has_animation()) obstacle.mutable_animation()->clear_positions();
-  }
-  std::string json;
-  google::protobuf::util::JsonPrintOptions options;
-  options.preserve_proto_field_names = true;
-  if (!google::protobuf::util::MessageToJsonString(bare, &json, options).ok()) return {};
-  return json;
-}
-
 }  // namespace pleat::presentation

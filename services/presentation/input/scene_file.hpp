@@ -18,7 +18,4 @@ v1::Scene read_scene_file(const std::filesystem::path& path);
 /// The same from text. `name` goes before messages, `folder` is where relative paths start.
 v1::Scene parse_scene(const std::string& json, const std::string& name, const std::filesystem::path& folder);
 
-/// The scene's JSON without the inlined meshes and material, for files that record what was simulated.
-std::string scene_json(const v1::Scene& scene);
-
 }  // namespace pleat::presentation

@@ -4,8 +4,8 @@
 #include <map>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 #include "services/presentation/report/encode.hpp"
-#include "services/presentation/report/files.hpp"
 #include "services/presentation/report/report.hpp"
 #include "services/presentation/report/upsampling.hpp"
 #include "services/presentation/report/viewer_template.hpp"
@@ -203,7 +203,7 @@ void write_report_html(const ReportInput& input, const std::filesystem::path& pa
       data += "<script type=\"application/octet-stream\" id=\"pleat-" + name + "\">" + text + "</script>\n";
     }
     const std::string page = replace_once(viewer_template(), kTitleMarker, escape_html(input.summary.title));
-    write_file_atomically(path, replace_once(page, kDataMarker, data));
+    write_whole_file(path, replace_once(page, kDataMarker, data));
     return;
   }
 }

@@ -67,7 +67,7 @@ struct ReportHtmlOptions {
   std::size_t max_bytes = 40'000'000;  ///< above it every 2nd, 3rd, ... frame is shown; stage times stay complete
 };
 
-/// The content of report.json (DESIGN section 6): frames, coarse_vertices, fine_vertices, wall_s, frames_per_s,
+/// The content of report.json (docs/report.md): frames, coarse_vertices, fine_vertices, wall_s, frames_per_s,
 /// stages {name: {median_ms, p95_ms, mean_ms, max_ms}}, the sum of each count (penetrations and self_intersections are
 /// 0 where they were not counted), model, device, precision; with a reference also fidelity {enhanced, upsampled:
 /// {rmse_m, max_m}}; wrinkles {enhanced, upsampled, reference: {bands, lattice}} (common/mesh/wrinkles.hpp).

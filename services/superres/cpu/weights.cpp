@@ -1,5 +1,6 @@
 #include "services/superres/cpu/weights.hpp"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cstdint>
@@ -34,12 +35,7 @@ std::array<double, kPoints> transform_kernel(const float* w) {
 }
 
 /// Nearest, ties to even.
-std::uint16_t to_bfloat16(float value) {
-  std::uint32_t bits;
-  std::memcpy(&bits, &value, sizeof bits);
-  bits += 0x7FFFu + ((bits >> 16) & 1u);
-  return static_cast<std::uint16_t>(bits >> 16);
-}
+std::uint16_t to_bfloat16(float value) { return Eigen::numext::bit_cast<std::uint16_t>(Eigen::bfloat16(value)); }
 
 }  // namespace
 

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 #include "services/superres/bundle.hpp"
 
 namespace pleat::superres {
@@ -96,7 +97,7 @@ void save_checkpoint(const std::string& path, const std::string& config_json, co
     bytes.append(static_cast<const char*>(data), size);
     return size;
   });
-  publish_file(bytes, path);
+  write_whole_file(path, bytes);
 }
 
 void load_checkpoint(const std::string& path, const std::string& config_json, Network& network, Adam& adam,

@@ -49,7 +49,7 @@ struct ScheduleConfig {
 struct ValidationConfig {
   std::string split = "test";          ///< used if `sequences` is empty
   std::vector<std::string> sequences;  ///< named ones; they are left out of training whatever their split
-  int every_frames = 8;                ///< every so-manieth frame
+  int every_frames = 8;                ///< every n-th frame, n being this
   int every_epochs = 1;
 };
 
@@ -67,7 +67,7 @@ struct TrainConfig {
   int epochs = 120;
   int batch = 16;           ///< windows a step; a window has losses.frames + 1 frames if losses.kinematic > 0, else 1
   int patch = 72;           ///< side of the coarse patches in texels; 0 or more than the image: whole images
-  int every_frames = 1;     ///< of training sequences: every so-manieth frame, for data sets with more than time allows
+  int every_frames = 1;     ///< of training sequences: every n-th frame, for data sets with more than time allows
   int steps_per_epoch = 0;  ///< 0: as many as show as many frames as the training split has
   bool mirror = false;      ///< mirrored copies in u, v and across the sheet; needs a flat rest mesh
   std::string precision = "float32";  ///< of the body: "float32" or "bfloat16"

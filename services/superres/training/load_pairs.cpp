@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/base/hash.hpp"
 #include "common/base/parallel.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/subdivision.hpp"
@@ -238,13 +239,6 @@ bool in_validation(const TrainConfig& config, const SequenceInfo& sequence) {
   return sequence.split == config.validation.split;
 }
 
-/// FNV-1a.
-std::uint64_t hash_of(const std::string& text) {
-  std::uint64_t hash = 0xcbf29ce484222325ull;
-  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3ull;
-  return hash;
-}
-
 /// Of everything that decides the images of a sequence.
 std::uint64_t content_hash(const TrainConfig& config, const SequenceInfo& info, const PairData& data,
                            std::size_t stride) {
@@ -260,7 +254,7 @@ std::uint64_t content_hash(const TrainConfig& config, const SequenceInfo& info, 
                {"frame_time_s", data.frame_time_s},
                {"file", {std::filesystem::file_size(file, error), written}}};
   if (stride > 1) content["every_frames"] = stride;
-  return hash_of(content.dump());
+  return Hash().add(content.dump()).value();
 }
 
 /// Sequences that can be used, and nothing about those that can't beyond a line each.

@@ -10,6 +10,7 @@
 #include <tuple>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -190,10 +191,10 @@ std::vector<EpochReport> read_log(const std::string& path, int last_epoch) {
 }
 
 void write_log(const std::string& path, const std::vector<EpochReport>& reports) {
-  std::ofstream file(path, std::ios::trunc);
-  file << kHeader << kVertexColumns << "\n";
-  for (const EpochReport& report : reports) file << csv_row(report) << "\n";
-  if (!file.flush()) throw Error(ErrorCode::kResourceExhausted, path + ": can't write");
+  std::ostringstream rows;
+  rows << kHeader << kVertexColumns << "\n";
+  for (const EpochReport& report : reports) rows << csv_row(report) << "\n";
+  write_whole_file(path, rows.str());
 }
 
 std::string curves_page(const std::string& name, const std::vector<EpochReport>& reports,

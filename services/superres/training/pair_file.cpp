@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -92,11 +93,7 @@ void PairFileWriter::append(std::span<const float> coarse, std::span<const float
 
 void PairFileWriter::finish() {
   if (count_ != key_.frames) throw_internal("pair file: frames are missing");
-  const std::string partial = path_.string() + ".partial";
-  if (::fsync(file_) != 0) throw Error(ErrorCode::kResourceExhausted, partial + ": " + std::strerror(errno));
-  std::error_code error;
-  std::filesystem::rename(partial, path_, error);
-  if (error) throw Error(ErrorCode::kResourceExhausted, path_.string() + ": can't rename: " + error.message());
+  publish_file(path_.string() + ".partial", path_);
 }
 
 bool map_pair_file(const std::filesystem::path& path, const PairFileKey& key, PairSequence& sequence) {

@@ -110,9 +110,9 @@ struct LoadedPairs {
   std::unique_ptr<MeshJudge> judge;
 };
 
-/// Reads a data set (DESIGN section 4), converts every frame and normalises it. `report` gets lines about the progress.
-/// Throws kNotFound, kDataLoss, kInvalidArgument (no normalisation, sequences of other meshes, unknown names),
-/// kResourceExhausted if the images would need more than config.cache_limit_mb.
+/// Reads a data set (docs/file-formats.md), converts every frame and normalises it. `report` gets lines about the
+/// progress. Throws kNotFound, kDataLoss, kInvalidArgument (no normalisation, sequences of other meshes, unknown
+/// names), kResourceExhausted if the images would need more than config.cache_limit_mb.
 LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report);
 
 }  // namespace pleat::superres

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "common/base/error.hpp"
+#include "common/base/random.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -17,13 +18,7 @@ class Random {
   explicit Random(Words... words) {
     ((state_ = next() ^ static_cast<std::uint64_t>(words)), ...);
   }
-  std::uint64_t next() {
-    state_ += 0x9E3779B97F4A7C15ull;
-    std::uint64_t z = state_;
-    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ull;
-    z = (z ^ (z >> 27)) * 0x94D049BB133111EBull;
-    return z ^ (z >> 31);
-  }
+  std::uint64_t next() { return split_mix(state_); }
   /// Below `bound`; its bias of bound / 2^64 does not matter here.
   std::size_t below(std::size_t bound) { return static_cast<std::size_t>(next() % bound); }
 

@@ -4,6 +4,7 @@
 #include <torch/script.h>
 #include <torch/torch.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -15,6 +16,8 @@
 
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
+#include "common/base/statistics.hpp"
+#include "common/base/whole_file.hpp"
 #include "services/superres/bundle.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/communicator.hpp"
@@ -44,7 +47,8 @@ double processor_seconds() {
   return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
 }
 
-double decibel(double mean_square) { return mean_square > 0 ? -10 * std::log10(mean_square) : 200; }
+/// Finite, for the log.
+double decibel(double mean_square) { return std::min(psnr_db(mean_square), 200.0); }
 
 /// The configuration and what it was applied to: a training can't go on with a data set that has grown meanwhile.
 std::string identity(const TrainConfig& config, const PairData& data) {
@@ -340,9 +344,7 @@ class Trainer {
 
   void write_curves() const {
     const std::string path = config_.output + "/log.html";
-    std::ofstream page(path, std::ios::trunc);
-    page << curves_page(config_.name, history_, result_.baseline);
-    if (!page.flush()) throw Error(ErrorCode::kResourceExhausted, path + ": can't write");
+    write_whole_file(path, curves_page(config_.name, history_, result_.baseline));
   }
 
   template <typename Body>

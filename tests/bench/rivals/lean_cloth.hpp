@@ -1,5 +1,5 @@
 // The leanest direct simulation of a fine sheet that still gives usable frames: XPBD with isotropic springs and
-// particle self-collision. What a pipeline of coarse simulation and super-resolution has to beat (DESIGN section 7).
+// particle self-collision. What a pipeline of coarse simulation and super-resolution has to beat.
 #pragma once
 
 #include <array>

@@ -1,4 +1,4 @@
-// Mesh to fine image and back: the errors of DESIGN section 5, with room for other wrinkles.
+// Mesh to fine image and back: the errors of docs/conversion.md, with room for other wrinkles.
 #include <gtest/gtest.h>
 
 #include "services/conversion/image_map.hpp"

@@ -128,18 +128,5 @@ TEST_F(JobTableTest, AFolderThatIsAFileIsRefused) {
   expect_code(ErrorCode::kInvalidArgument, [&] { JobTable table(data_ / "file"); });
 }
 
-TEST_F(JobTableTest, ReplacedFilesAreWholeAndFailuresNameThem) {
-  replace_file(data_ / "f", "one");
-  replace_file(data_ / "f", std::string("two\0three", 9));
-  EXPECT_EQ(read_file(data_ / "f"), std::string("two\0three", 9));
-  EXPECT_EQ(read_file(data_ / "none"), std::nullopt);
-  try {
-    replace_file(data_ / "no-folder" / "f", "x");
-    FAIL();
-  } catch (const Error& e) {
-    EXPECT_NE(std::string(e.what()).find("no-folder/f"), std::string::npos);
-  }
-}
-
 }  // namespace
 }  // namespace pleat::coordinator

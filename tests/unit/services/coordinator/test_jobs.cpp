@@ -165,6 +165,27 @@ TEST_F(JobsTest, AFrameErrorKeepsTheJobAndTheUpsampledFrame) {
   expect_right(job.result_path(), 9, false, {5});
 }
 
+TEST_F(JobsTest, WatchersOfAFrameErrorGetWhatTheFileHolds) {
+  start();
+  fakes_.superres().faults.at(2, Faults::Kind::kFrameError);
+  create(4, "a");
+  std::vector<v1::EnhancedFrame> replacements;
+  for (int time = 0; time < 2; ++time) {  // while it runs, and from the file
+    EXPECT_TRUE(watch("a", 0, true, [&](const v1::JobEvent& event) {
+                  EXPECT_EQ(event.has_replacement(), event.has_error());
+                  if (event.has_error()) replacements.push_back(event.replacement());
+                }).ok());
+  }
+  const Positions stored = ResultReader(get("a").result_path()).enhanced(2, 3).at(0);
+  ASSERT_EQ(replacements.size(), 2u);
+  for (const v1::EnhancedFrame& frame : replacements) {
+    EXPECT_EQ(frame.fine().index(), 2u);
+    ASSERT_EQ(frame.fine().positions_size(), stored.size());
+    EXPECT_TRUE(std::equal(stored.data(), stored.data() + stored.size(), frame.fine().positions().begin()));
+    EXPECT_GT(frame.coarse().positions_size(), 0);
+  }
+}
+
 TEST_F(JobsTest, WatchersGetEveryFrameFromWhereTheyAsk) {
   start();
   fakes_.simulation().faults.delay(2ms);

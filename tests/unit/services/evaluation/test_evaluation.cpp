@@ -101,8 +101,8 @@ TEST_F(Evaluation, ExamplesFromTheTrainingSplitAreABaseline) {
   ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
   const nlohmann::json figures = nlohmann::json::parse(outcome.out).at("zurdo2013");
   EXPECT_NEAR(figures.at("rmse_m").get<double>(), 0, 1e-6);
-  EXPECT_EQ(figures.at("penetrations_before"), figures.at("penetrations"));
-  EXPECT_GE(figures.at("examples_ms").get<double>(), 0);
+  EXPECT_FALSE(figures.contains("refinement_ms")) << "the method has no refinement";
+  EXPECT_TRUE(figures.at("examples_ms").is_number());
 }
 
 TEST_F(Evaluation, CountsBeforeRefinementAreTheMethodsOwn) {
@@ -116,14 +116,6 @@ TEST_F(Evaluation, CountsBeforeRefinementAreTheMethodsOwn) {
   EXPECT_EQ(values.counts.penetrations, 0u);
   EXPECT_EQ(values.counts.self_intersections_before, 18u);
   EXPECT_EQ(values.counts.self_intersections, 0u);
-}
-
-TEST(Quantile, InterpolatesBetweenOrderStatistics) {
-  EXPECT_DOUBLE_EQ(median({3, 1, 2}), 2);
-  EXPECT_DOUBLE_EQ(median({4, 1, 2, 3}), 2.5);
-  EXPECT_DOUBLE_EQ(quantile({0, 10}, 0.95), 9.5);
-  EXPECT_DOUBLE_EQ(quantile({7}, 0.95), 7);
-  EXPECT_DOUBLE_EQ(median({}), 0);
 }
 
 }  // namespace

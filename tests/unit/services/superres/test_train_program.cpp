@@ -105,7 +105,7 @@ TEST_F(TrainProgram, FullDiskKeepsTheLastCheckpoint) {
   const std::string before = read_file(root_ / "short/checkpoint.pt");
   // No file may grow beyond 16 KiB; the signal is ignored, so that writing fails as on a full disk.
   EXPECT_EQ(shell("trap '' XFSZ; ulimit -f 16; $TRAIN --set output=short"), 1) << said();
-  EXPECT_THAT(said(), HasSubstr("can't write"));
+  EXPECT_THAT(said(), HasSubstr("can't be written"));
   EXPECT_EQ(read_file(root_ / "short/checkpoint.pt"), before);
   ASSERT_EQ(shell("$TRAIN --set output=short"), 0) << said();
   EXPECT_EQ(rows("short"), rows("whole"));

@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/frame/scene_json.hpp"
 #include "common/store/hdf5.hpp"
 #include "tests/support/temporary_folder.hpp"
 

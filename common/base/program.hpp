@@ -1,0 +1,26 @@
+// What the main functions of our programs share: from the command line to an exit code.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <string>
+
+#include "common/base/exit_codes.hpp"
+
+namespace pleat {
+
+/// "NAME: message" as one line on stderr.
+void print_error(const std::string& name, const std::string& message);
+
+/// Parses the command line and runs `body`, which returns an exit code. A wrong command line and every exception become
+/// one line on stderr and an exit code; --help and --version end well. `app` has the program's name.
+int run_program(CLI::App& app, int argc, const char* const* argv, const std::function<int()>& body);
+
+/// The deepest subcommand that was reached: "pleat dataset generate".
+std::string command_path(const CLI::App& root);
+
+/// Checks of options, with messages for people: above 0; 0 or above, whole.
+CLI::Validator positive_number();
+CLI::Validator natural_number();
+
+}  // namespace pleat

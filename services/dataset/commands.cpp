@@ -1,0 +1,74 @@
+#include "services/dataset/commands.hpp"
+
+#include <cstdio>
+
+#include "common/base/program.hpp"
+#include "services/dataset/verify.hpp"
+
+namespace pleat::dataset {
+
+void add_generate_options(CLI::App& app, GenerateChoice& choice) {
+  app.add_option("--set", choice.set, "scenes")->capture_default_str()->check(CLI::IsMember({"draping", "hitting"}));
+  app.add_option("--scale", choice.scale,
+                 "frames a sequence; small: 150, full: the paper's 400 (draping) or 1,000 (hitting)")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"small", "full"}));
+  app.add_option("--fine", choice.fine, "the fine cloth follows the coarse one, or goes its own way")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"tracked", "free"}));
+  app.add_option("--frames", choice.frames, "frames a sequence, instead of the scale's")->check(positive_number());
+  app.add_option("--train", choice.train, "sequences for training (default: 10 or 27)")->check(natural_number());
+  app.add_option("--test", choice.test, "sequences for testing (default: 3 or 8)")->check(natural_number());
+  app.add_option("--extra", choice.extra, "further sequences for training, behind the others, which stay the same")
+      ->capture_default_str()
+      ->check(natural_number());
+  app.add_option("--seed", choice.seed, "seed of the scenes")->capture_default_str()->check(natural_number());
+  app.add_option("--workers", choice.workers, "processes (default: one a processor)")->check(positive_number());
+  app.add_option("--garment", choice.garment, "coarse garment, OBJ")->capture_default_str();
+  app.add_option("--material", choice.material, "material, ARCSim JSON")->capture_default_str();
+  app.add_flag("--deflate,!--no-deflate", choice.deflate, "compress finished sequences (default: yes)");
+}
+
+GenerateOptions generate_options(const GenerateChoice& choice, const std::string& git_revision) {
+  const SetSize size = set_size(choice.set, choice.scale == "full");
+  GenerateOptions options;
+  options.folder = choice.folder;
+  options.scenes.set = choice.set;
+  options.scenes.train = choice.train >= 0 ? choice.train : size.train;
+  options.scenes.test = choice.test >= 0 ? choice.test : size.test;
+  options.scenes.extra = choice.extra;
+  options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
+  options.scenes.seed = choice.seed;
+  options.scenes.tracked = choice.fine == "tracked";
+  options.scenes.garment = choice.garment;
+  options.scenes.material = choice.material;
+  options.workers = choice.workers;
+  options.deflate = choice.deflate;
+  options.git_revision = git_revision;
+  return options;
+}
+
+void print_description(const std::string& folder) {
+  for (const std::string& line : describe(folder)) std::printf("%s\n", line.c_str());
+}
+
+void verify_and_print(const std::string& folder, std::uint64_t stride) {
+  const auto report = verify(folder, {stride}, [](const std::string& line) {
+    std::printf("%s\n", line.c_str());
+    std::fflush(stdout);
+  });
+  for (const std::string& problem : report.problems) std::printf("problem: %s\n", problem.c_str());
+  std::printf(
+      "%llu sequences, %llu frames, %llu judged: %llu self-intersections, %llu penetrations; feature vertices %.4f m "
+      "off on average, %.4f m at most\n",
+      static_cast<unsigned long long>(report.sequences), static_cast<unsigned long long>(report.frames),
+      static_cast<unsigned long long>(report.frames_judged), static_cast<unsigned long long>(report.self_intersections),
+      static_cast<unsigned long long>(report.penetrations), report.feature_distance_mean_m,
+      report.feature_distance_max_m);
+  std::fflush(stdout);
+  if (report.problems.empty()) return;
+  throw_internal(folder + ": " + std::to_string(report.problems.size()) +
+                 " problems, the first: " + report.problems[0]);
+}
+
+}  // namespace pleat::dataset

@@ -1,0 +1,33 @@
+// What `pleat dataset` and pleat-generate do, and the options that both have.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <cstdint>
+#include <functional>
+#include <string>
+
+#include "services/dataset/generate.hpp"
+
+namespace pleat::dataset {
+
+struct GenerateChoice {
+  std::string folder, set = "draping", scale = "small", fine = "tracked";
+  std::string garment = "deploy/garments/tablecloth.obj", material = "deploy/materials/gray-interlock.json";
+  int frames = 0, train = -1, test = -1, extra = 0, workers = 0;
+  std::uint64_t seed = 1;
+  bool deflate = true;
+};
+
+/// All but the folder.
+void add_generate_options(CLI::App& app, GenerateChoice& choice);
+
+/// What `choice` asks for. Throws kInvalidArgument (unknown set).
+GenerateOptions generate_options(const GenerateChoice& choice, const std::string& git_revision);
+
+/// What is in the data set, on stdout.
+void print_description(const std::string& folder);
+
+/// Judges the data set and prints what was found on stdout. Throws kInternal with the first problem if there is one.
+void verify_and_print(const std::string& folder, std::uint64_t stride);
+
+}  // namespace pleat::dataset

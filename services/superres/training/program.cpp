@@ -1,0 +1,68 @@
+#include "services/superres/training/program.hpp"
+
+#include <unistd.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <memory>
+#include <optional>
+
+#include "services/superres/training/followers.hpp"
+#include "services/superres/training/trainer.hpp"
+
+namespace pleat::superres {
+namespace {
+
+constexpr int kBarWidth = 30;
+
+TrainHooks hooks_of(const TrainArguments& arguments) {
+  const bool first = arguments.rank == 0;
+  const bool terminal = first && ::isatty(STDOUT_FILENO) == 1;
+  TrainHooks hooks;
+  hooks.git_revision = arguments.git_revision;
+  hooks.stop = arguments.stop;
+  hooks.rank = arguments.rank;
+  hooks.processes = arguments.processes;
+  hooks.rendezvous = arguments.rendezvous;
+  hooks.line = [terminal, first](const std::string& line) {
+    if (!first) return;
+    std::printf("%s%s\n", terminal ? "\r\033[K" : "", line.c_str());
+    std::fflush(stdout);
+  };
+  if (terminal) {
+    hooks.progress = [](int epoch, double fraction, double loss) {
+      const std::string filled(static_cast<std::size_t>(kBarWidth * fraction), '#');
+      std::printf("\r\033[Kepoch %d [%-*s] %3.0f %%  loss %.3e", epoch, kBarWidth, filled.c_str(), 100 * fraction,
+                  loss);
+      std::fflush(stdout);
+    };
+  }
+  return hooks;
+}
+
+}  // namespace
+
+void run_training(const TrainArguments& arguments) {
+  const TrainConfig config = read_train_config(arguments.config, arguments.changes);
+  TrainHooks hooks = hooks_of(arguments);
+  // The first process converts the images; the others find them in files.
+  const LoadedPairs pairs = load_pairs(config, hooks.line);
+  std::optional<Followers> followers;
+  if (arguments.rank == 0 && arguments.processes > 1) {
+    std::filesystem::create_directories(config.output);
+    hooks.rendezvous = config.output + "/rendezvous." + std::to_string(::getpid());
+    followers.emplace(arguments.words, arguments.processes, hooks.rendezvous);
+  }
+  const TrainResult result = train(config, pairs.data, pairs.judge.get(), hooks);
+  if (followers) {
+    followers->done();
+    followers.reset();
+    std::error_code ignored;
+    std::filesystem::remove(hooks.rendezvous, ignored);
+  }
+  const char* reasons[] = {"all epochs done", "time is up", "stopped on request"};
+  hooks.line(std::string(reasons[static_cast<int>(result.reason)]) +
+             (result.bundle.empty() ? "" : "; best bundle: " + result.bundle));
+}
+
+}  // namespace pleat::superres

@@ -1,0 +1,24 @@
+// pleat-train behind its command line: a configuration trained to a bundle, with progress on stdout.
+#pragma once
+
+#include <atomic>
+#include <string>
+#include <vector>
+
+namespace pleat::superres {
+
+struct TrainArguments {
+  std::string config;
+  std::vector<std::string> changes;  ///< KEY=VALUE
+  int processes = 1;
+  int rank = 0;                       ///< of a process that the first one started
+  std::string rendezvous;             ///< the same
+  std::string git_revision;           ///< for the bundle
+  std::vector<std::string> words;     ///< the whole command line, for the other processes
+  std::atomic<bool>* stop = nullptr;  ///< set to end after the step at hand, with a check-point
+};
+
+/// Trains, or goes on from the check-point. Throws what read_train_config, load_pairs and train throw.
+void run_training(const TrainArguments& arguments);
+
+}  // namespace pleat::superres
