@@ -51,7 +51,8 @@ TEST_F(ResultRecorderTest, AFailedFrameIsCountedAndTheOthersFollow) {
   EXPECT_EQ(recorder.frame_errors(), 1u);
   EXPECT_EQ(reader().frames_complete(), 3u);
   EXPECT_EQ(reader().counts("frame_errors", 0, 3), (std::vector<std::uint32_t>{0, 1, 0}));
-  EXPECT_EQ(reader().info().stages, (std::vector<std::string>{"superres", "refinement"}));
+  EXPECT_EQ(reader().info().stages, (std::vector<std::string>{"refinement", "superres"}))
+      << "by name, as files list them";
   EXPECT_EQ(reader().stage_ms("superres", 0, 3), (std::vector<float>{2, 0, 2}));
   EXPECT_EQ(reader().enhanced(1, 2).at(0), subdivision_.fine.rest_positions);
 }
