@@ -5,7 +5,6 @@
 #include <system_error>
 
 #include "common/base/own_file.hpp"
-#include "common/base/whole_file.hpp"
 
 namespace pleat::hdf5 {
 namespace {
@@ -127,7 +126,13 @@ void File::close() {
 }
 
 void File::rename(const std::filesystem::path& path) {
-  publish_file(path_, path);
+  // No fsync: arrays have room for every planned frame, and a cancelled job would wait for the disk to take it all.
+  std::error_code error;
+  std::filesystem::rename(path_, path, error);
+  if (error) {
+    throw Error(ErrorCode::kInternal,
+                path_.string() + ": can't be renamed to " + path.string() + " (" + error.message() + ")");
+  }
   path_ = path;
 }
 
