@@ -1,6 +1,6 @@
-#include <utility>
+#include "services/coordinator/active_job.hpp"
 
-#include "services/coordinator/job_runner.hpp"
+#include <utility>
 
 namespace pleat::coordinator {
 

@@ -4,8 +4,6 @@
 #include <condition_variable>
 #include <deque>
 #include <filesystem>
-#include <functional>
-#include <list>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -15,7 +13,7 @@
 #include <vector>
 
 #include "pleat/v1/coordinator.pb.h"
-#include "services/coordinator/job_feed.hpp"
+#include "services/coordinator/active_job.hpp"
 #include "services/coordinator/job_table.hpp"
 #include "services/coordinator/pipeline.hpp"
 
@@ -27,37 +25,6 @@ struct JobSettings {
   std::uint32_t checkpoint_interval = 25;  ///< frames between check-points of the simulation
   std::uint32_t max_frames = 1'000'000;    ///< of one job
   bool compress = true;                    ///< the finished result file
-};
-
-/// A job that is being worked on, as far as others may touch it.
-class ActiveJob {
- public:
-  explicit ActiveJob(std::string job_id) : id(std::move(job_id)) {}
-
-  const std::string id;
-  JobFeed feed;
-
-  /// Ends the work soon; the first cause counts. From any thread.
-  void abort(const Error& cause);
-  std::optional<Error> cause() const;
-
-  /// While it lives, abort() calls `interrupt` (at once if it was called before).
-  class Interrupt {
-   public:
-    Interrupt(ActiveJob& job, std::function<void(const Error&)> interrupt);
-    ~Interrupt();
-    Interrupt(const Interrupt&) = delete;
-    Interrupt& operator=(const Interrupt&) = delete;
-
-   private:
-    ActiveJob& job_;
-    std::list<std::function<void(const Error&)>>::iterator place_;
-  };
-
- private:
-  mutable std::mutex mutex_;
-  std::optional<Error> cause_;
-  std::list<std::function<void(const Error&)>> interrupts_;
 };
 
 /// Takes up unfinished jobs of the table at once. Thread-safe.

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <sstream>
 
+#include "common/base/html.hpp"
 #include "services/evaluation/tables.hpp"
 #include "services/presentation/report/encode.hpp"
 
@@ -23,8 +24,9 @@ th.name,td.name{text-align:left}td.paper{color:#66727f}td.here{font-weight:600}
 .row{display:flex;flex-wrap:wrap;gap:.6rem}figure{margin:0;width:228px}figure canvas{width:228px;height:228px;border:1px solid #dfe4ea;border-radius:4px;cursor:grab;touch-action:none;display:block}
 figcaption{font-size:.85rem;overflow-wrap:anywhere}.empty{width:228px;height:228px;border:1px dashed #b8c1cb;border-radius:4px;display:flex;align-items:center;justify-content:center;color:#66727f;font-size:.85rem}
 .scale{display:inline-block;width:180px;height:10px;vertical-align:middle;margin:0 .5rem;background:linear-gradient(90deg,#24428f,#2fa4c9,#7ec95a,#f2c230,#d2301f)}
-svg{max-width:640px;width:100%;height:auto}svg text{font-size:11px;fill:#4a5561}
-</style></head><body>
+)";
+
+constexpr const char* kTitle = R"(</style></head><body>
 <h1>The tables of the paper, printed and measured</h1>
 )";
 
@@ -131,22 +133,6 @@ for (const row of gl ? data : []) {
 </script>
 )";
 
-std::string escaped(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '<') {
-      out += "&lt;";
-    } else if (c == '&') {
-      out += "&amp;";
-    } else if (c == '"') {
-      out += "&quot;";
-    } else {
-      out += c;
-    }
-  }
-  return out;
-}
-
 std::string figure(const std::optional<double>& value, const std::string& format) {
   if (!value) return "&ndash;";
   char text[64];
@@ -155,10 +141,10 @@ std::string figure(const std::optional<double>& value, const std::string& format
 }
 
 void write_table(std::ostringstream& out, const Table& table) {
-  out << "<h2>" << escaped(table.title) << "</h2>\n<div class=\"scroll\"><table>\n<tr>";
-  for (const std::string& key : table.keys) out << "<th class=\"name\" rowspan=\"2\">" << escaped(key) << "</th>";
+  out << "<h2>" << escape_html(table.title) << "</h2>\n<div class=\"scroll\"><table>\n<tr>";
+  for (const std::string& key : table.keys) out << "<th class=\"name\" rowspan=\"2\">" << escape_html(key) << "</th>";
   for (std::size_t i = 0; i < table.columns.size(); ++i)
-    out << "<th colspan=\"" << (has_printed(table, i) ? 2 : 1) << "\">" << escaped(table.columns[i]) << "</th>";
+    out << "<th colspan=\"" << (has_printed(table, i) ? 2 : 1) << "\">" << escape_html(table.columns[i]) << "</th>";
   out << "</tr>\n<tr>";
   for (std::size_t i = 0; i < table.columns.size(); ++i)
     out << (has_printed(table, i) ? "<th>paper</th><th>here</th>" : "<th>here</th>");
@@ -166,20 +152,20 @@ void write_table(std::ostringstream& out, const Table& table) {
   std::vector<std::string> missing;
   for (const TableRow& row : table.rows) {
     out << "<tr>";
-    for (const std::string& name : row.names) out << "<td class=\"name\">" << escaped(name) << "</td>";
+    for (const std::string& name : row.names) out << "<td class=\"name\">" << escape_html(name) << "</td>";
     for (std::size_t i = 0; i < row.entries.size(); ++i) {
       const TableEntry& entry = row.entries[i];
       if (has_printed(table, i)) out << "<td class=\"paper\">" << figure(entry.printed, table.formats[i]) << "</td>";
       out << "<td class=\"here\">" << figure(entry.measured, table.formats[i]) << "</td>";
       if (entry.measured || entry.missing.empty()) continue;
-      std::string line = escaped(row.names.front());
-      for (std::size_t k = 1; k < row.names.size(); ++k) line += ", " + escaped(row.names[k]);
-      line += ": <code>" + escaped(entry.missing) + "</code>";
+      std::string line = escape_html(row.names.front());
+      for (std::size_t k = 1; k < row.names.size(); ++k) line += ", " + escape_html(row.names[k]);
+      line += ": <code>" + escape_html(entry.missing) + "</code>";
       if (std::find(missing.begin(), missing.end(), line) == missing.end()) missing.push_back(line);
     }
     out << "</tr>\n";
   }
-  out << "</table></div>\n<p class=\"note\">" << escaped(table.note) << "</p>\n";
+  out << "</table></div>\n<p class=\"note\">" << escape_html(table.note) << "</p>\n";
   if (missing.empty()) return;
   out << "<p class=\"note\">Not made on this machine yet:</p><ul>";
   for (const std::string& line : missing) out << "<li>" << line << "</li>";
@@ -187,47 +173,16 @@ void write_table(std::ostringstream& out, const Table& table) {
 }
 
 void write_curves(std::ostringstream& out, const std::vector<Convergence>& curves) {
-  constexpr double kWidth = 640, kHeight = 220, kLeft = 50, kRight = 130, kTop = 10, kBottom = 28;
   const char* const colors[] = {"#24428f", "#d2301f"};
   const std::pair<const char*, std::vector<double> Convergence::*> features[] = {
       {"displacement", &Convergence::displacement_db},
       {"normal", &Convergence::normal_db},
       {"velocity", &Convergence::velocity_db}};
-  char text[512];
   for (const auto& [name, values] : features) {
-    double low = 1e9, high = -1e9, last = 0;
-    for (const Convergence& curve : curves) {
-      for (const double v : curve.*values) low = std::min(low, v), high = std::max(high, v);
-      last = std::max(last, curve.minutes.back());
-    }
-    if (!(low <= high) || !(last > 0)) continue;
-    const double margin = std::max(0.2, 0.05 * (high - low));
-    low -= margin, high += margin;
-    const auto x = [&](double minutes) { return kLeft + minutes / last * (kWidth - kLeft - kRight); };
-    const auto y = [&](double v) { return kTop + (high - v) / (high - low) * (kHeight - kTop - kBottom); };
-    out << "<p>PSNR of the " << name
-        << ", dB, over minutes of training</p>\n<svg viewBox=\"0 0 640 220\" role=\"img\">\n";
-    for (int i = 0; i <= 4; ++i) {
-      const double v = low + (high - low) * i / 4;
-      std::snprintf(text, sizeof text,
-                    "<line x1=\"%g\" x2=\"%g\" y1=\"%.1f\" y2=\"%.1f\" stroke=\"#dfe4ea\"/><text x=\"%g\" y=\"%.1f\" "
-                    "text-anchor=\"end\">%.1f</text><text x=\"%.1f\" y=\"%g\" text-anchor=\"middle\">%.3g</text>\n",
-                    kLeft, kWidth - kRight, y(v), y(v), kLeft - 5, y(v) + 4, v, x(last * i / 4), kHeight - 8,
-                    last * i / 4);
-      out << text;
-    }
-    for (std::size_t c = 0; c < curves.size(); ++c) {
-      const auto& line = curves[c].*values;
-      out << "<polyline fill=\"none\" stroke-width=\"2\" stroke=\"" << colors[c % 2] << "\" points=\"";
-      for (std::size_t i = 0; i < line.size(); ++i) {
-        std::snprintf(text, sizeof text, "%.1f,%.1f ", x(curves[c].minutes[i]), y(line[i]));
-        out << text;
-      }
-      std::snprintf(text, sizeof text, "\"/><text x=\"%g\" y=\"%g\" style=\"fill:%s\">", kWidth - kRight + 8,
-                    kTop + 14 + 16 * static_cast<double>(c), colors[c % 2]);
-      out << text << escaped(curves[c].name) << "</text>\n";
-    }
-    out << "</svg>\n";
+    LineChart chart{std::string("PSNR of the ") + name + " over minutes of training", "dB", false, {}};
+    for (std::size_t c = 0; c < curves.size(); ++c)
+      chart.lines.push_back({curves[c].name, colors[c % 2], curves[c].minutes, curves[c].*values});
+    out << line_chart(chart);
   }
 }
 
@@ -264,7 +219,7 @@ void write_pictures(std::ostringstream& out, const std::string& title, const std
     const double scale = std::max(1e-6, error_scale(row, truth->positions));
     char text[128];
     std::snprintf(text, sizeof text, "0<span class=\"scale\"></span>%.2f mm and more", 1e3 * scale);
-    out << "<p>" << escaped(row.title) << ". Distance to the simulated vertex: " << text
+    out << "<p>" << escape_html(row.title) << ". Distance to the simulated vertex: " << text
         << ". Drag to turn.</p>\n<div class=\"row\">\n";
     data << "{scale:" << scale << ",fine:\"" << encoded(row.fine_faces) << "\",coarse:\"" << encoded(row.coarse_faces)
          << "\",meshes:[";
@@ -273,11 +228,11 @@ void write_pictures(std::ostringstream& out, const std::string& title, const std
       const std::string id = prefix + std::to_string(r) + "-" + std::to_string(i);
       out << "<figure>";
       if (picture.positions.rows() == 0) {
-        out << "<div class=\"empty\">not trained here</div><figcaption>" << escaped(picture.label) << ": <code>"
-            << escaped(picture.missing) << "</code></figcaption></figure>\n";
+        out << "<div class=\"empty\">not trained here</div><figcaption>" << escape_html(picture.label) << ": <code>"
+            << escape_html(picture.missing) << "</code></figcaption></figure>\n";
         continue;
       }
-      out << "<canvas id=\"" << id << "\"></canvas><figcaption>" << escaped(picture.label);
+      out << "<canvas id=\"" << id << "\"></canvas><figcaption>" << escape_html(picture.label);
       if (!picture.coarse && !picture.reference) {
         const double mse =
             (picture.positions - truth->positions).template cast<double>().rowwise().squaredNorm().mean();
@@ -298,7 +253,7 @@ void write_pictures(std::ostringstream& out, const std::string& title, const std
 
 std::string to_html(const PaperTables& tables) {
   std::ostringstream out, data;
-  out << kHead;
+  out << kHead << kChartStyle << "\n" << kTitle;
   for (const Table& table : tables.tables) write_table(out, table);
   write_curves(out, tables.figure13);
   write_pictures(out, "Fig. 11. Methods", tables.figure11, "m", data);

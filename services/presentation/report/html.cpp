@@ -4,6 +4,7 @@
 #include <map>
 
 #include "common/base/error.hpp"
+#include "common/base/html.hpp"
 #include "common/base/whole_file.hpp"
 #include "services/presentation/report/encode.hpp"
 #include "services/presentation/report/report.hpp"
@@ -31,26 +32,6 @@ struct Payload {
     return sum;
   }
 };
-
-std::string escape_html(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    switch (c) {
-      case '&':
-        out += "&amp;";
-        break;
-      case '<':
-        out += "&lt;";
-        break;
-      case '>':
-        out += "&gt;";
-        break;
-      default:
-        out += c;
-    }
-  }
-  return out;
-}
 
 /// JSON that can't end the script element it lies in.
 std::string script_safe(const json& value) {

@@ -10,6 +10,7 @@
 #include <tuple>
 
 #include "common/base/error.hpp"
+#include "common/base/html.hpp"
 #include "common/base/whole_file.hpp"
 
 namespace pleat::superres {
@@ -31,99 +32,6 @@ std::string csv_row(const EpochReport& r) {
                 r.velocity, r.kinematic, r.psnr_db, r.psnr_normal_db, r.psnr_velocity_db, r.vmse_m2,
                 std::sqrt(r.vmse_m2), r.best ? 1 : 0, r.vertices, r.vertex_normals, r.edges);
   return row;
-}
-
-/// One line of a chart; a value that is not finite leaves a gap.
-struct Line {
-  std::string name, color;
-  std::vector<double> values;
-};
-
-struct Chart {
-  std::string title, unit;
-  bool logarithmic;
-  std::vector<Line> lines;
-};
-
-constexpr double kWidth = 640, kHeight = 240, kLeft = 70, kRight = 20, kTop = 12, kBottom = 30;
-
-/// About four round values between low and high.
-std::vector<double> ticks(double low, double high, bool logarithmic) {
-  std::vector<double> result;
-  if (logarithmic) {
-    const double step = std::max(1.0, std::ceil((high - low) / 5));
-    for (double v = std::ceil(low); v <= high; v += step) result.push_back(v);
-    if (result.size() >= 2) return result;
-    result.clear();
-  }
-  const double raw = (high - low) / 4, power = std::pow(10, std::floor(std::log10(raw)));
-  const double step = power * (raw / power < 1.5 ? 1 : raw / power < 3.5 ? 2 : raw / power < 7.5 ? 5 : 10);
-  for (double v = std::ceil(low / step) * step; v <= high + 1e-9 * step; v += step) result.push_back(v);
-  return result;
-}
-
-void draw(std::ostringstream& out, const Chart& chart, const std::vector<EpochReport>& reports) {
-  double low = std::numeric_limits<double>::infinity(), high = -low;
-  const auto place = [&](double v) { return chart.logarithmic ? std::log10(v) : v; };
-  for (const Line& line : chart.lines) {
-    for (const double v : line.values) {
-      if (!std::isfinite(v) || (chart.logarithmic && v <= 0)) continue;
-      low = std::min(low, place(v)), high = std::max(high, place(v));
-    }
-  }
-  out << "<h2>" << chart.title << "</h2>\n";
-  if (!(low <= high)) {
-    out << "<p>No values yet.</p>\n";
-    return;
-  }
-  const double margin = high > low ? 0.05 * (high - low) : std::max(1e-12, 0.1 * std::abs(high));
-  low -= margin, high += margin;
-  const double last = std::max(2, reports.back().epoch);
-  const auto x = [&](double epoch) { return kLeft + (epoch - 1) / (last - 1) * (kWidth - kLeft - kRight); };
-  const auto y = [&](double v) { return kTop + (high - v) / (high - low) * (kHeight - kTop - kBottom); };
-  char text[256];
-  out << "<svg viewBox=\"0 0 " << kWidth << " " << kHeight << "\" role=\"img\" aria-label=\"" << chart.title << "\">\n";
-  for (const double tick : ticks(low, high, chart.logarithmic)) {
-    std::snprintf(text, sizeof text,
-                  "<line class=\"grid\" x1=\"%g\" y1=\"%.1f\" x2=\"%g\" y2=\"%.1f\"/>"
-                  "<text x=\"%g\" y=\"%.1f\" text-anchor=\"end\">%.4g</text>\n",
-                  kLeft, y(tick), kWidth - kRight, y(tick), kLeft - 6, y(tick) + 4,
-                  chart.logarithmic ? std::pow(10, tick) : tick);
-    out << text;
-  }
-  for (const double tick : ticks(1, last, false)) {
-    std::snprintf(text, sizeof text, "<text x=\"%.1f\" y=\"%g\" text-anchor=\"middle\">%g</text>\n", x(tick),
-                  kHeight - kBottom + 16, tick);
-    out << text;
-  }
-  for (const Line& line : chart.lines) {
-    out << "<path class=\"line\" stroke=\"" << line.color << "\" d=\"";
-    bool joined = false;
-    for (std::size_t i = 0; i < line.values.size(); ++i) {
-      const double v = line.values[i];
-      if (!std::isfinite(v) || (chart.logarithmic && v <= 0)) {
-        joined = false;
-        continue;
-      }
-      std::snprintf(text, sizeof text, "%s%.1f %.1f", joined ? "L" : "M", x(reports[i].epoch), y(place(v)));
-      out << text;
-      joined = true;
-    }
-    out << "\"><title>" << line.name << "</title></path>\n";
-  }
-  out << "</svg>\n<p class=\"legend\">";
-  for (const Line& line : chart.lines) {
-    out << "<span style=\"color:" << line.color << "\">&#9632;</span> " << line.name << " &ensp; ";
-  }
-  out << chart.unit << "</p>\n";
-}
-
-std::string escaped(const std::string& text) {
-  std::string result;
-  for (const char c : text) {
-    result += c == '<' ? "&lt;" : c == '>' ? "&gt;" : c == '&' ? "&amp;" : std::string(1, c);
-  }
-  return result;
 }
 
 }  // namespace
@@ -210,48 +118,48 @@ std::string curves_page(const std::string& name, const std::vector<EpochReport>&
   for (const EpochReport& r : reports) rmse.push_back(r.validated ? 1e3 * std::sqrt(r.vmse_m2) : std::nan(""));
   const std::vector<double> plain(reports.size(), baseline.barycentric_psnr_db),
       plain_rmse(reports.size(), 1e3 * std::sqrt(baseline.barycentric_vmse_m2));
-  std::vector<Chart> charts{
+  std::vector<double> epochs;
+  for (const EpochReport& r : reports) epochs.push_back(r.epoch);
+  std::vector<LineChart> charts{
       {"Training loss",
        "mean over the epoch, unweighted parts",
        true,
-       {{"total", "#111111", values(&EpochReport::total, false)},
-        {"displacement", "#0072b2", values(&EpochReport::displacement, false)},
-        {"normal", "#009e73", values(&EpochReport::normal, false)},
-        {"velocity", "#d55e00", values(&EpochReport::velocity, false)},
-        {"kinematic", "#cc79a7", values(&EpochReport::kinematic, false)}}},
+       {{"total", "#111111", epochs, values(&EpochReport::total, false)},
+        {"displacement", "#0072b2", epochs, values(&EpochReport::displacement, false)},
+        {"normal", "#009e73", epochs, values(&EpochReport::normal, false)},
+        {"velocity", "#d55e00", epochs, values(&EpochReport::velocity, false)},
+        {"kinematic", "#cc79a7", epochs, values(&EpochReport::kinematic, false)}}},
       {"PSNR on the validation frames",
        "dB",
        false,
-       {{"displacement", "#0072b2", values(&EpochReport::psnr_db, true)},
-        {"normal", "#009e73", values(&EpochReport::psnr_normal_db, true)},
-        {"velocity", "#d55e00", values(&EpochReport::psnr_velocity_db, true)}}},
-      {"RMSE of the mesh on the validation frames", "mm", false, {{"network", "#0072b2", rmse}}},
-      {"Learning rate", "", true, {{"rate", "#111111", values(&EpochReport::learning_rate, false)}}}};
+       {{"displacement", "#0072b2", epochs, values(&EpochReport::psnr_db, true)},
+        {"normal", "#009e73", epochs, values(&EpochReport::psnr_normal_db, true)},
+        {"velocity", "#d55e00", epochs, values(&EpochReport::psnr_velocity_db, true)}}},
+      {"RMSE of the mesh on the validation frames", "mm", false, {{"network", "#0072b2", epochs, rmse}}},
+      {"Learning rate", "", true, {{"rate", "#111111", epochs, values(&EpochReport::learning_rate, false)}}}};
   if (baseline.barycentric_vmse_m2 > 0) {
-    charts[1].lines.push_back({"displacement, upsampled mesh", "#999999", plain});
-    charts[2].lines.push_back({"upsampled mesh", "#999999", plain_rmse});
+    charts[1].lines.push_back({"displacement, upsampled mesh", "#999999", epochs, plain});
+    charts[2].lines.push_back({"upsampled mesh", "#999999", epochs, plain_rmse});
   }
   for (const auto& [label, color, member] : {std::tuple{"vertices", "#e69f00", &EpochReport::vertices},
                                              std::tuple{"vertex normals", "#56b4e9", &EpochReport::vertex_normals},
                                              std::tuple{"edges", "#b8a800", &EpochReport::edges}}) {
     const std::vector<double> line = values(member, false);
     if (std::any_of(line.begin(), line.end(), [](double v) { return v > 0; }))
-      charts[0].lines.push_back({label, color, line});
+      charts[0].lines.push_back({label, color, epochs, line});
   }
   std::ostringstream out;
-  out << "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Training of " << escaped(name)
+  out << "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Training of " << escape_html(name)
       << "</title>\n<style>body{font:15px/1.4 system-ui,sans-serif;max-width:720px;margin:2em auto;padding:0 1em;"
-         "color:#222;background:#fff}h1{font-size:1.4em}h2{font-size:1.05em;margin:1.6em 0 .3em}svg{width:100%}"
-         "svg text{font:11px system-ui,sans-serif;fill:#555}.grid{stroke:#ddd}.line{fill:none;stroke-width:1.8}"
-         ".legend{margin:.1em 0;font-size:13px;color:#555}</style></head>\n<body><h1>Training of "
-      << escaped(name) << "</h1>\n";
+         "color:#222;background:#fff}h1{font-size:1.4em}h2{font-size:1.05em;margin:1.6em 0 .3em}"
+      << kChartStyle << "</style></head>\n<body><h1>Training of " << escape_html(name) << "</h1>\n";
   if (!reports.empty()) {
     const EpochReport& last = reports.back();
     char text[160];
     std::snprintf(text, sizeof text, "<p>%d epochs, %lld steps, %.1f minutes.</p>\n", last.epoch,
                   static_cast<long long>(last.steps), last.minutes);
     out << text;
-    for (const Chart& chart : charts) draw(out, chart, reports);
+    for (const LineChart& chart : charts) out << line_chart(chart);
   }
   out << "</body></html>\n";
   return out.str();

@@ -117,7 +117,7 @@ TEST_F(Tables, CurvesComeFromTheLogOfATraining) {
   EXPECT_EQ(result.figure13[0].minutes, (std::vector<double>{0.5, 1.5}));
   EXPECT_EQ(result.figure13[0].normal_db, (std::vector<double>{20, 23}));
   EXPECT_EQ(row(result.tables[3], {"SRResNet"}).entries[0].measured, 62);
-  EXPECT_THAT(to_html(result), HasSubstr("<polyline"));
+  EXPECT_THAT(to_html(result), HasSubstr("<path class=\"line\""));
 }
 
 TEST_F(Tables, AsACommand) {
