@@ -9,6 +9,9 @@
 
 namespace pleat {
 
+/// Seconds between frames where nothing else is said.
+inline constexpr double kDefaultFrameTime = 0.04;
+
 /// One frame of one mesh.
 struct Frame {
   std::uint64_t index = 0;  ///< frame index, from 0

@@ -41,6 +41,81 @@ Eigen::Vector3f vector_of(const google::protobuf::RepeatedField<float>& values, 
   return {values[0], values[1], values[2]};
 }
 
+using Floats = Eigen::Map<Eigen::ArrayXf>;
+using ConstFloats = Eigen::Map<const Eigen::ArrayXf>;
+
+/// bfloat16 is the upper half of a float32; rounded to the nearest, ties to even.
+std::uint16_t to_bfloat16(float value) {
+  const auto bits = std::bit_cast<std::uint32_t>(value);
+  if ((bits & 0x7fffffffu) > 0x7f800000u) return static_cast<std::uint16_t>((bits >> 16) | 0x40u);
+  return static_cast<std::uint16_t>((bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16);
+}
+
+std::size_t value_bytes(v1::Tensor::DType dtype) { return dtype == v1::Tensor::DTYPE_FLOAT32 ? 4 : 2; }
+
+/// Throws unless there are as many values as the shape says, in one form.
+void check_count(const v1::Tensor& message, std::uint64_t count, const std::string& field) {
+  const bool bytes = !message.data().empty();
+  if (message.dtype() == v1::Tensor::DTYPE_FLOAT32 && !bytes) {
+    if (static_cast<std::uint64_t>(message.values_size()) == count) return;
+    throw_invalid_argument(field + ".values: " + std::to_string(message.values_size()) + " values, the shape needs " +
+                           std::to_string(count));
+  }
+  const std::size_t needed = count * value_bytes(message.dtype());
+  if (message.data().size() == needed && message.values_size() == 0) return;
+  throw_invalid_argument(field + ".data: " + std::to_string(message.data().size()) + " bytes and " +
+                         std::to_string(message.values_size()) + " values, the shape needs " + std::to_string(needed) +
+                         " bytes");
+}
+
+/// Values of any type -> float32. values: as many as the shape says.
+void read_values(const v1::Tensor& message, std::vector<float>& values, const std::string& field) {
+  const auto size = static_cast<Eigen::Index>(values.size());
+  const char* bytes = message.data().data();
+  switch (message.dtype()) {
+    case v1::Tensor::DTYPE_FLOAT32:
+      if (message.data().empty()) {
+        std::copy(message.values().begin(), message.values().end(), values.begin());
+      } else {
+        std::memcpy(values.data(), bytes, 4 * values.size());
+      }
+      return;
+    case v1::Tensor::DTYPE_FLOAT16:
+      Floats(values.data(), size) = Eigen::Map<const Eigen::Array<Eigen::half, Eigen::Dynamic, 1>>(
+                                        reinterpret_cast<const Eigen::half*>(bytes), size)
+                                        .cast<float>();
+      return;
+    case v1::Tensor::DTYPE_BFLOAT16:
+      for (std::size_t i = 0; i < values.size(); ++i) {
+        std::uint16_t upper = 0;
+        std::memcpy(&upper, bytes + 2 * i, 2);
+        values[i] = std::bit_cast<float>(std::uint32_t{upper} << 16);
+      }
+      return;
+    default:
+      throw_invalid_argument(field + ".dtype: unknown type " + std::to_string(static_cast<int>(message.dtype())));
+  }
+}
+
+/// The shape, and the number of values.
+std::uint64_t read_shape(const v1::Tensor& message, std::vector<std::int64_t>& shape, const std::string& field) {
+  if (message.shape_size() == 0 || message.shape_size() > 4) {
+    throw_invalid_argument(field + ".shape: " + std::to_string(message.shape_size()) + " extents, 1 to 4 needed");
+  }
+  shape.clear();
+  std::uint64_t count = 1;
+  for (const std::uint32_t extent : message.shape()) {
+    if (extent == 0) throw_invalid_argument(field + ".shape: an extent is 0");
+    if (count > kMaxTensorValues / extent) {
+      throw Error(ErrorCode::kResourceExhausted,
+                  field + ".shape: more than " + std::to_string(kMaxTensorValues) + " values");
+    }
+    count *= extent;
+    shape.push_back(extent);
+  }
+  return count;
+}
+
 }  // namespace
 
 void to_message(const Positions& values, google::protobuf::RepeatedField<float>* field) { assign(values, field); }
@@ -223,50 +298,51 @@ RigidTransform from_message(const v1::RigidTransform& message, const std::string
 }
 
 Tensor from_message(const v1::Tensor& message, const std::string& field) {
-  if (message.shape_size() == 0 || message.shape_size() > 4) {
-    throw_invalid_argument(field + ".shape: " + std::to_string(message.shape_size()) + " extents, 1 to 4 needed");
-  }
   Tensor tensor;
-  std::uint64_t count = 1;
-  for (const std::uint32_t extent : message.shape()) {
-    if (extent == 0) throw_invalid_argument(field + ".shape: an extent is 0");
-    if (count > kMaxTensorValues / extent) {
-      throw Error(ErrorCode::kResourceExhausted,
-                  field + ".shape: more than " + std::to_string(kMaxTensorValues) + " values");
-    }
-    count *= extent;
-    tensor.shape.push_back(extent);
-  }
+  from_payload(message, field, &tensor);
   if (message.channels_size() != 0 && message.channels_size() != tensor.shape[0]) {
     throw_invalid_argument(field + ".channels: " + std::to_string(message.channels_size()) + " names, " +
                            std::to_string(tensor.shape[0]) + " channels");
   }
   tensor.channels.assign(message.channels().begin(), message.channels().end());
-  if (message.dtype() == v1::Tensor::DTYPE_FLOAT32) {
-    if (static_cast<std::uint64_t>(message.values_size()) != count || !message.data().empty()) {
-      throw_invalid_argument(field + ".values: " + std::to_string(message.values_size()) + " values, the shape needs " +
-                             std::to_string(count));
-    }
-    tensor.values.assign(message.values().begin(), message.values().end());
-  } else if (message.dtype() == v1::Tensor::DTYPE_FLOAT16 || message.dtype() == v1::Tensor::DTYPE_BFLOAT16) {
-    if (message.data().size() != 2 * count || message.values_size() != 0) {
-      throw_invalid_argument(field + ".data: " + std::to_string(message.data().size()) + " bytes, the shape needs " +
-                             std::to_string(2 * count));
-    }
-    tensor.values.resize(count);
-    for (std::size_t i = 0; i < count; ++i) {
-      const auto low = static_cast<unsigned char>(message.data()[2 * i]);
-      const auto high = static_cast<unsigned char>(message.data()[2 * i + 1]);
-      const auto bits = static_cast<std::uint16_t>(low | (high << 8));
-      tensor.values[i] = message.dtype() == v1::Tensor::DTYPE_FLOAT16
-                             ? static_cast<float>(Eigen::numext::bit_cast<Eigen::half>(bits))
-                             : static_cast<float>(Eigen::numext::bit_cast<Eigen::bfloat16>(bits));
-    }
-  } else {
-    throw_invalid_argument(field + ".dtype: unknown type " + std::to_string(static_cast<int>(message.dtype())));
-  }
   check_finite(tensor.values, field + ".values");
   return tensor;
+}
+
+void from_payload(const v1::Tensor& message, const std::string& field, Tensor* tensor) {
+  const std::uint64_t count = read_shape(message, tensor->shape, field);
+  check_count(message, count, field);
+  tensor->channels.clear();
+  tensor->values.resize(count);
+  read_values(message, tensor->values, field);
+}
+
+void to_payload(const Tensor& tensor, v1::Tensor::DType dtype, v1::Tensor* message) {
+  message->clear_shape();
+  for (const std::int64_t extent : tensor.shape) message->add_shape(static_cast<std::uint32_t>(extent));
+  message->set_dtype(dtype);
+  message->clear_channels();
+  message->clear_values();
+  std::string& data = *message->mutable_data();
+  data.resize(tensor.values.size() * value_bytes(dtype));
+  const auto size = static_cast<Eigen::Index>(tensor.values.size());
+  switch (dtype) {
+    case v1::Tensor::DTYPE_FLOAT16:
+      Eigen::Map<Eigen::Array<Eigen::half, Eigen::Dynamic, 1>>(reinterpret_cast<Eigen::half*>(data.data()), size) =
+          ConstFloats(tensor.values.data(), size).cast<Eigen::half>();
+      return;
+    case v1::Tensor::DTYPE_BFLOAT16:
+      for (std::size_t i = 0; i < tensor.values.size(); ++i) {
+        const std::uint16_t upper = to_bfloat16(tensor.values[i]);
+        std::memcpy(data.data() + 2 * i, &upper, 2);
+      }
+      return;
+    case v1::Tensor::DTYPE_FLOAT32:
+      std::memcpy(data.data(), tensor.values.data(), data.size());
+      return;
+    default:
+      throw_invalid_argument("tensor: unknown type " + std::to_string(static_cast<int>(dtype)));
+  }
 }
 
 std::vector<ObstacleFrame> match_obstacles(std::vector<ObstacleFrame> frames, const std::vector<ObstacleShape>& shapes,

@@ -25,6 +25,11 @@ v1::Tensor to_message(const Tensor& tensor);
 void to_message(const Frame& frame, v1::Frame* message);
 void to_message(const Tensor& tensor, v1::Tensor* message);
 
+/// The values alone, as bytes of the type, without names: for the hot path. Keeps the message's memory.
+void to_payload(const Tensor& tensor, v1::Tensor::DType dtype, v1::Tensor* message);
+/// The same in reverse, into memory that is reused, from either form. Finiteness is for the caller to check.
+void from_payload(const v1::Tensor& message, const std::string& field, Tensor* tensor);
+
 /// (V x 3). `vertices`: the count expected; -1 accepts any.
 Positions positions_from_message(const google::protobuf::RepeatedField<float>& values, Eigen::Index vertices,
                                  const std::string& field);

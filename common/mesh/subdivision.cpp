@@ -144,9 +144,20 @@ Midpoints split_with_loop(Positions& positions, Faces& faces, const std::vector<
   return midpoints;
 }
 
+void move_along_normals(Topology& mesh, const Positions& towards) {
+  const Positions normals = vertex_normals(mesh.rest_positions, mesh.faces);
+  const Eigen::VectorXf moves = (towards - mesh.rest_positions).cwiseProduct(normals).rowwise().sum();
+  mesh.rest_positions += moves.asDiagonal() * normals;
+}
+
 }  // namespace
 
 Subdivision subdivide(const Topology& coarse, int rounds, SubdivisionRule rule) {
+  if (rule == SubdivisionRule::kSmooth) {
+    Subdivision s = subdivide(coarse, rounds);
+    move_along_normals(s.fine, subdivide(coarse, rounds, SubdivisionRule::kLoop).fine.rest_positions);
+    return s;
+  }
   if (rounds < 0 || rounds > 5)
     throw_invalid_argument("subdivision rounds must be 0 to 5, not " + std::to_string(rounds));
   Subdivision s;
@@ -190,6 +201,26 @@ Subdivision subdivide(const Topology& coarse, int rounds, SubdivisionRule rule) 
   }
   // A vertex that no face uses stays itself; it keeps zero weights and upsample() copies it.
   return s;
+}
+
+Subdivision subdivide(const Topology& coarse, const SubdivisionSpec& spec) {
+  if (spec.rounds < 0 || spec.rounds > kMaxSubdivisionRounds) {
+    throw_invalid_argument("subdivision: 0 to " + std::to_string(kMaxSubdivisionRounds) + " rounds, not " +
+                           std::to_string(spec.rounds));
+  }
+  return subdivide(coarse, spec.rounds, spec.rule);
+}
+
+std::optional<SubdivisionSpec> find_subdivision(const Topology& coarse, const Topology& fine) {
+  Eigen::Index faces = coarse.face_count();
+  int rounds = 0;
+  for (; rounds < kMaxSubdivisionRounds && faces < fine.face_count(); ++rounds) faces *= 4;
+  if (faces != fine.face_count()) return std::nullopt;
+  const std::string hash = topology_hash(fine);
+  for (const SubdivisionRule rule : {SubdivisionRule::kMidpoint, SubdivisionRule::kSmooth, SubdivisionRule::kLoop}) {
+    if (topology_hash(subdivide(coarse, rounds, rule).fine) == hash) return SubdivisionSpec{rounds, rule};
+  }
+  return std::nullopt;
 }
 
 Positions upsample(const Subdivision& s, const Faces& coarse_faces, const Positions& coarse_positions) {

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "common/mesh/mesh.hpp"
@@ -28,8 +29,21 @@ struct Subdivision {
 /// Where a round puts the rest positions. Faces, numbering and material coordinates are the same with both rules.
 enum class SubdivisionRule {
   kMidpoint,  ///< new vertices in the middle of the edges: the same surface
+  kSmooth,    ///< on Loop's surface, but straight above the middle of the edges. Loop's own rule also slides vertices
+              ///< across the surface where a mesh is irregular, away from their material coordinates: a flat sheet
+              ///< would start stretched (the tablecloth by 0.56 to 1.68 times), and the surface would be the same.
   kLoop,      ///< Loop's (1987): the surface becomes smooth, and its boundary a smooth curve of its own. Corners, where
               ///< the boundary turns by more than 45 degrees, stay.
+};
+
+inline constexpr int kDefaultSubdivisionRounds = 2;
+inline constexpr int kMaxSubdivisionRounds = 5;
+
+/// Which fine mesh belongs to a coarse one.
+struct SubdivisionSpec {
+  int rounds = kDefaultSubdivisionRounds;  ///< 0 to kMaxSubdivisionRounds
+  SubdivisionRule rule = SubdivisionRule::kMidpoint;
+  bool operator==(const SubdivisionSpec&) const = default;
 };
 
 /// Splits every edge in 2^rounds: rounds = 2 gives the paper's 16 faces per face (749 -> 11,393 vertices). Material
@@ -38,7 +52,15 @@ enum class SubdivisionRule {
 /// were, so that an atlas stays one (smoothing would pull the charts' borders inwards, and apart at seams), and every
 /// fine face has its share of its coarse face's cloth. `barycentric` is linear too: upsample() gives the coarse
 /// surface.
-Subdivision subdivide(const Topology& coarse, int rounds = 2, SubdivisionRule rule = SubdivisionRule::kMidpoint);
+Subdivision subdivide(const Topology& coarse, int rounds = kDefaultSubdivisionRounds,
+                      SubdivisionRule rule = SubdivisionRule::kMidpoint);
+
+/// The same. Throws kInvalidArgument for rounds out of range.
+Subdivision subdivide(const Topology& coarse, const SubdivisionSpec& spec);
+
+/// How the fine mesh was made from the coarse one, for files that do not say it; nothing if subdivide() does not give
+/// it, bit by bit. Builds at most one mesh per rule.
+std::optional<SubdivisionSpec> find_subdivision(const Topology& coarse, const Topology& fine);
 
 /// Barycentric upsampling of a coarse frame: (V_coarse x 3) -> (V_fine x 3). The surface stays the same set of points.
 Positions upsample(const Subdivision& subdivision, const Faces& coarse_faces, const Positions& coarse_positions);

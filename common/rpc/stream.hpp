@@ -17,6 +17,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <type_traits>
 #include <vector>
 
 #include "common/rpc/status.hpp"
@@ -51,7 +52,7 @@ struct FrameServiceOptions {
 
 /// A whole handler of a frame stream, to be returned from the service's method.
 ///   open(const OpenMessage&, OpenedMessage*) -> process
-///   process(const RequestFrame&, ResponseFrame*)
+///   process(const RequestFrame&, ResponseFrame*), or process(const Request&, ResponseFrame*) for the whole message
 /// An exception of `open` ends the stream with its status; one of `process` becomes a FrameError and the stream goes
 /// on. With concurrency > 1, process is called from several threads at once; answers keep the order of the requests. A
 /// broken sequence of messages (no open, a second one) ends the stream with INVALID_ARGUMENT after the frames before.

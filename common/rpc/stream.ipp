@@ -46,7 +46,11 @@ void process_slot(typename ServedStream<Request, Response>::Slot& slot, const Pr
   if (options.metrics != nullptr) options.metrics->add_inflight(options.stage, 1);
   const grpc::Status status = guard([&] {
     slot.response.Clear();
-    process(slot.request.frame(), slot.response.mutable_frame());
+    if constexpr (std::is_invocable_v<Process, const Request&, decltype(slot.response.mutable_frame())>) {
+      process(slot.request, slot.response.mutable_frame());
+    } else {
+      process(slot.request.frame(), slot.response.mutable_frame());
+    }
   });
   const double ms = timer.milliseconds();
   if (!status.ok()) {

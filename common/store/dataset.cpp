@@ -57,8 +57,12 @@ void write_dataset_master(const std::filesystem::path& folder, const DatasetMast
   if (!master.material.empty()) file.set_attribute("/", "material", master.material);
   store::write_topologies(file, master.topology);
   if (master.normalization) {
-    file.write_array("/normalization/minimum", H5T_NATIVE_FLOAT, {9}, master.normalization->minimum.data());
-    file.write_array("/normalization/maximum", H5T_NATIVE_FLOAT, {9}, master.normalization->maximum.data());
+    check_ranges(*master.normalization, kFrameChannels, path.string() + ": normalisation");
+    std::vector<float> maximum = master.normalization->offset;
+    for (std::size_t c = 0; c < maximum.size(); ++c) maximum[c] += master.normalization->scale[c];
+    const std::vector<hsize_t> extents{maximum.size()};
+    file.write_array("/normalization/minimum", H5T_NATIVE_FLOAT, extents, master.normalization->offset.data());
+    file.write_array("/normalization/maximum", H5T_NATIVE_FLOAT, extents, maximum.data());
   }
   file.make_group("/sequences");
   for (const std::string& name : master.sequences) {
@@ -196,14 +200,18 @@ DatasetReader::DatasetReader(const std::filesystem::path& folder) : state_(std::
   if (file.has_attribute("/", "material")) master.material = file.string_attribute("/", "material");
   master.topology = store::read_topologies(file);
   if (file.exists("/normalization/minimum")) {
-    FeatureRange normalization;
-    for (const auto& [name, values] : {std::pair{"/normalization/minimum", &normalization.minimum},
-                                       std::pair{"/normalization/maximum", &normalization.maximum}}) {
-      if (file.extents(name, 1, 9)[0] != 9)
-        throw_data_loss(file.path().string() + ": " + name + " should have 9 values");
-      file.rows(name).read(H5T_NATIVE_FLOAT, 0, 9, values->data());
+    ChannelRanges ranges;
+    for (const auto& [name, values] :
+         {std::pair{"/normalization/minimum", &ranges.offset}, std::pair{"/normalization/maximum", &ranges.scale}}) {
+      if (file.extents(name, 1, kFrameChannels)[0] != kFrameChannels) {
+        throw_data_loss(file.path().string() + ": " + name + " should have " + std::to_string(kFrameChannels) +
+                        " values");
+      }
+      values->resize(kFrameChannels);
+      file.rows(name).read(H5T_NATIVE_FLOAT, 0, kFrameChannels, values->data());
     }
-    master.normalization = normalization;
+    for (std::size_t c = 0; c < ranges.channels(); ++c) ranges.scale[c] -= ranges.offset[c];
+    master.normalization = std::move(ranges);
   }
   master.sequences = file.list("/sequences");
   for (const std::string& name : master.sequences) {

@@ -5,7 +5,6 @@
 // killed at any moment leaves a file that opens, with `frames_complete` whole frames.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -15,6 +14,7 @@
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/features/channel_ranges.hpp"
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
 
@@ -30,12 +30,6 @@ struct MeshPair {
   std::vector<std::uint32_t> feature_vertices;  ///< (V_coarse) indices into the fine mesh
 };
 
-/// Range of the nine features (displacement x,y,z, normal x,y,z, velocity x,y,z) over a training split.
-struct FeatureRange {
-  std::array<float, 9> minimum{};
-  std::array<float, 9> maximum{};
-};
-
 /// What the master file `dataset.h5` holds.
 struct DatasetMaster {
   double time_step_s = 0;   ///< step of the simulation
@@ -45,8 +39,8 @@ struct DatasetMaster {
   std::string git_revision;
   std::string material;  ///< the material file's text; empty in older data sets
   MeshPair topology;
-  std::optional<FeatureRange> normalization;
-  std::vector<std::string> sequences;  ///< names; the file of each is sequences/<name>.h5
+  std::optional<ChannelRanges> normalization;  ///< extremes of the nine features over the training split
+  std::vector<std::string> sequences;          ///< names; the file of each is sequences/<name>.h5
 };
 
 /// Writes (or replaces, in one rename) FOLDER/dataset.h5, and makes the folder if need be. A link to a sequence may

@@ -28,7 +28,8 @@ struct EnhanceOptions {
   std::string rest, frames, out, model, coordinator;
   std::vector<std::string> obstacles;
   double fps = 0, timeout_s = 30;
-  std::uint32_t window = 0, rounds = 2;
+  std::uint32_t window = 0;
+  std::optional<std::uint32_t> rounds;
   std::uint64_t count = 0;
   rpc::TlsOptions tls;
 };
@@ -36,20 +37,20 @@ struct EnhanceOptions {
 /// What a frame gets that could not be enhanced: the upsampled coarse mesh, as in the files of jobs.
 class StandIn {
  public:
-  StandIn(const Topology& coarse, const client::Mesh& fine, std::uint32_t rounds)
-      : coarse_(coarse), fine_(fine), rounds_(static_cast<int>(rounds)) {}
+  StandIn(const Topology& coarse, const client::Mesh& fine) : coarse_(coarse), fine_(fine) {}
 
   std::vector<float> positions(const Positions& coarse) {
-    if (!subdivision_) subdivision_ = subdivide(coarse_, rounds_);
-    if (client::from_topology(subdivision_->fine).faces != fine_.faces)
-      throw_internal("the session's fine mesh is not the subdivision of the coarse one");
+    if (!subdivision_) {
+      const auto spec = find_subdivision(coarse_, client::to_topology(fine_));
+      if (!spec) throw_internal("the session's fine mesh is not a subdivision of the coarse one");
+      subdivision_ = subdivide(coarse_, *spec);
+    }
     return client::from_positions(upsample(*subdivision_, coarse_.faces, coarse));
   }
 
  private:
   const Topology& coarse_;
   const client::Mesh& fine_;
-  int rounds_;
   std::optional<Subdivision> subdivision_;
 };
 
@@ -99,7 +100,7 @@ int enhance(const EnhanceOptions& options) {
                            info.model,
                            "",
                            shapes});
-  StandIn stand_in(rest, info.fine, options.rounds);
+  StandIn stand_in(rest, info.fine);
   std::optional<Error> first_error;
   Progress progress("frames", count);
   const Clock::time_point start = Clock::now();
@@ -169,8 +170,8 @@ std::vector<Command> add_enhance(CLI::App& root) {
   app->add_option("--fps", options->fps, "frames a second of motion (default: the file's, or 25)")
       ->check(positive_number());
   app->add_option("--count", options->count, "enhance the first COUNT frames only")->check(positive_number());
-  app->add_option("--rounds", options->rounds, "rounds of subdivision from the coarse to the fine mesh")
-      ->capture_default_str()
+  app->add_option("--rounds", options->rounds,
+                  "rounds of subdivision from the coarse to the fine mesh (default: the bundle's)")
       ->check(CLI::Range(0, 5));
   app->add_option("--window", options->window, "frames in flight, 1 to 64 (default: 4)")->check(CLI::Range(1, 64));
   app->add_option("--coordinator", options->coordinator,

@@ -22,7 +22,6 @@ namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
 constexpr std::chrono::seconds kCancelPatience{20};
-constexpr double kDefaultFrameTime = 0.04;
 
 struct RunOptions {
   std::string scene, out, model, coordinator;

@@ -5,20 +5,25 @@
 namespace pleat::conversion {
 
 std::shared_ptr<Session> ConversionService::open(const v1::ConversionSetup& setup, bool with_fine,
-                                                 v1::ConversionOpened* opened) {
-  auto session = std::make_shared<Session>(setup, options_.limits, maps_);
-  if (session->maps_were_cached()) metrics_.count("cached_maps");
+                                                 v1::Tensor::DType dtype, v1::ConversionOpened* opened) {
+  auto session = std::make_shared<Session>(setup, options_.limits, maps_, dtype);
+  if (session->was_cached()) metrics_.count("cached_maps");
   session->describe(with_fine, opened);
   return session;
+}
+
+grpc::Status ConversionService::Describe(grpc::ServerContext*, const v1::ConversionSetup* setup,
+                                         v1::ConversionOpened* opened) {
+  return rpc::guard([&] { open(*setup, true, v1::Tensor::DTYPE_FLOAT32, opened); });
 }
 
 grpc::Status ConversionService::ToImage(grpc::ServerContext* context,
                                         grpc::ServerReaderWriter<v1::ToImageResponse, v1::ToImageRequest>* stream) {
   return rpc::serve_frames<v1::ToImageRequest, v1::ToImageResponse>(
       context, stream, {"to_image", &metrics_}, [this](const v1::ToImageOpen& message, v1::ConversionOpened* opened) {
-        const auto session = open(message.setup(), false, opened);
-        return [session, this](const v1::Frame& request, v1::ImageFrame* response) {
-          session->to_image(request, response);
+        const auto session = open(message.setup(), false, message.dtype(), opened);
+        return [session, this](const v1::ToImageRequest& request, v1::ImageFrame* response) {
+          session->encode(request, response);
           if (response->out_of_range() > 0) metrics_.count("out_of_range_values", response->out_of_range());
         };
       });
@@ -28,9 +33,9 @@ grpc::Status ConversionService::ToMesh(grpc::ServerContext* context,
                                        grpc::ServerReaderWriter<v1::ToMeshResponse, v1::ToMeshRequest>* stream) {
   return rpc::serve_frames<v1::ToMeshRequest, v1::ToMeshResponse>(
       context, stream, {"to_mesh", &metrics_}, [this](const v1::ToMeshOpen& message, v1::ConversionOpened* opened) {
-        const auto session = open(message.setup(), true, opened);
+        const auto session = open(message.setup(), true, v1::Tensor::DTYPE_FLOAT32, opened);
         return
-            [session](const v1::ImageFrame& request, v1::MeshFrame* response) { session->to_mesh(request, response); };
+            [session](const v1::ImageFrame& request, v1::MeshFrame* response) { session->decode(request, response); };
       });
 }
 

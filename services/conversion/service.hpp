@@ -27,17 +27,20 @@ class ConversionService final : public v1::Conversion::Service {
         metrics_(metrics),
         maps_(static_cast<std::size_t>(std::max<std::int64_t>(options.cached_maps, 0))) {}
 
+  grpc::Status Describe(grpc::ServerContext* context, const v1::ConversionSetup* setup,
+                        v1::ConversionOpened* opened) override;
   grpc::Status ToImage(grpc::ServerContext* context,
                        grpc::ServerReaderWriter<v1::ToImageResponse, v1::ToImageRequest>* stream) override;
   grpc::Status ToMesh(grpc::ServerContext* context,
                       grpc::ServerReaderWriter<v1::ToMeshResponse, v1::ToMeshRequest>* stream) override;
 
  private:
-  std::shared_ptr<Session> open(const v1::ConversionSetup& setup, bool with_fine, v1::ConversionOpened* opened);
+  std::shared_ptr<Session> open(const v1::ConversionSetup& setup, bool with_fine, v1::Tensor::DType dtype,
+                                v1::ConversionOpened* opened);
 
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
-  MapCache maps_;
+  RepresentationCache maps_;
 };
 
 }  // namespace pleat::conversion

@@ -2,18 +2,17 @@
 
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
-#include "common/mesh/subdivision.hpp"
+#include "common/frame/representation_messages.hpp"
+#include "services/conversion/spec_messages.hpp"
 
 namespace pleat::conversion {
 namespace {
-
-constexpr std::uint32_t kDefaultRounds = 2, kMaxRounds = 5;
 
 void check_size(double vertices, std::int64_t limit, const char* what) {
   if (vertices <= static_cast<double>(limit)) return;
@@ -22,54 +21,45 @@ void check_size(double vertices, std::int64_t limit, const char* what) {
                                                  ", more than this service's limit of " + std::to_string(limit));
 }
 
-Normalization normalization_from(const v1::Normalization& message) {
-  Normalization n;
-  n.minimum.assign(message.minimum().begin(), message.minimum().end());
-  n.maximum.assign(message.maximum().begin(), message.maximum().end());
-  if (n.minimum.empty() && n.maximum.empty()) return n;
-  if (n.minimum.size() != kImageChannels || n.maximum.size() != kImageChannels) {
-    throw_invalid_argument("open.setup.normalization: " + std::to_string(n.minimum.size()) + " minima and " +
-                           std::to_string(n.maximum.size()) + " maxima, expected 9 of each");
-  }
-  for (std::size_t c = 0; c < kImageChannels; ++c) {
-    if (std::isfinite(n.minimum[c]) && std::isfinite(n.maximum[c]) && n.minimum[c] <= n.maximum[c]) continue;
-    throw_invalid_argument("open.setup.normalization: the range of " + image_channel_names()[c] +
-                           " is not finite or inverted");
-  }
-  return n;
+/// Everything that decides a representation; ranges do not.
+std::string key_of(const Topology& coarse, const Topology* fine, v1::Representation representation) {
+  representation.clear_input();
+  representation.clear_output();
+  return topology_hash(coarse) + (fine != nullptr ? topology_hash(*fine) : "") + representation.SerializeAsString();
 }
 
-ImageSpec spec_from(const v1::ConversionSetup& setup, std::int64_t max_texels) {
-  ImageSpec spec;
-  const auto extent = [](std::uint32_t value) { return static_cast<int>(std::min(value, 1u << 20)); };
-  spec.coarse_width = extent(setup.coarse_width());
-  spec.coarse_height = extent(setup.coarse_height());
-  if (setup.texels_per_fine_vertex() != 0)
-    spec.texels_per_fine_vertex = static_cast<double>(setup.texels_per_fine_vertex());
-  if (setup.scale() != 0) spec.scale = extent(setup.scale());
-  spec.max_fine_texels = max_texels;
-  return spec;
+/// The ranges of a frame, once for each frame of the window.
+ChannelRanges repeated(const ChannelRanges& ranges, int times) {
+  ChannelRanges result;
+  result.limit = ranges.limit;
+  for (int t = 0; t < times; ++t) {
+    result.offset.insert(result.offset.end(), ranges.offset.begin(), ranges.offset.end());
+    result.scale.insert(result.scale.end(), ranges.scale.begin(), ranges.scale.end());
+  }
+  return result;
 }
 
-// Everything that decides the maps.
-std::string key_of(const Topology& coarse, const Topology* fine, std::uint32_t rounds, const ImageSpec& spec) {
-  std::string key = topology_hash(coarse) + (fine != nullptr ? topology_hash(*fine) : " r" + std::to_string(rounds));
-  for (const int value : {spec.coarse_width, spec.coarse_height, spec.scale}) key += " " + std::to_string(value);
-  return spec.coarse_width == 0 ? key + " " + std::to_string(spec.texels_per_fine_vertex) : key;
+ChannelRanges first_channels(ChannelRanges ranges, std::int64_t count) {
+  if (static_cast<std::int64_t>(ranges.channels()) <= count) return ranges;
+  ranges.offset.resize(static_cast<std::size_t>(count));
+  ranges.scale.resize(static_cast<std::size_t>(count));
+  return ranges;
+}
+
+std::string in_words(const std::vector<std::int64_t>& shape) {
+  std::string text;
+  for (const std::int64_t extent : shape) text += (text.empty() ? "" : " x ") + std::to_string(extent);
+  return text;
 }
 
 }  // namespace
 
-Session::Session(const v1::ConversionSetup& setup, const SessionLimits& limits, MapCache& cache)
-    : normalization_(normalization_from(setup.normalization())) {
-  if (!normalization_.minimum.empty()) {
-    displacement_ = {{normalization_.minimum.begin(), normalization_.minimum.begin() + 3},
-                     {normalization_.maximum.begin(), normalization_.maximum.begin() + 3}};
-  }
+Session::Session(const v1::ConversionSetup& setup, const SessionLimits& limits, RepresentationCache& cache,
+                 v1::Tensor::DType dtype)
+    : dtype_(dtype) {
+  const v1::Representation wanted = representation_of(setup);
+  const RepresentationSpec spec = spec_from(wanted, limits.max_texels);
   const Topology coarse = from_message(setup.coarse(), "open.setup.coarse");
-  coarse_vertices_ = coarse.vertex_count();
-  const ImageSpec spec = spec_from(setup, limits.max_texels);
-  const std::uint32_t rounds = setup.has_subdivision_rounds() ? setup.subdivision_rounds() : kDefaultRounds;
   Topology fine;
   const bool has_fine = setup.has_fine() && setup.fine().faces_size() > 0;
   if (has_fine) {
@@ -77,71 +67,74 @@ Session::Session(const v1::ConversionSetup& setup, const SessionLimits& limits, 
     check_size(static_cast<double>(fine.vertex_count()), limits.max_vertices,
                "open.setup.fine: vertices of the fine mesh");
   } else {
-    if (rounds > kMaxRounds) {
-      throw_invalid_argument("open.setup.subdivision_rounds: at most 5, not " + std::to_string(rounds));
-    }
-    check_size(static_cast<double>(coarse.vertex_count()) * std::pow(4.0, rounds), limits.max_vertices,
+    check_size(static_cast<double>(coarse.vertex_count()) * std::pow(4.0, spec.subdivision.rounds), limits.max_vertices,
                "open.setup: vertices of the fine mesh");
   }
-  const auto build = [&] {
-    auto maps = std::make_shared<SessionMaps>();
-    if (has_fine) {
-      maps->fine = std::move(fine);
-    } else {
-      Subdivision subdivision = subdivide(coarse, static_cast<int>(rounds));
-      maps->fine = std::move(subdivision.fine);
-      maps->feature_vertices = std::move(subdivision.feature_vertices);
-    }
-    maps->map = std::make_unique<ImageMap>(coarse, maps->fine, spec);
-    return maps;
-  };
-  maps_ = cache.get(key_of(coarse, has_fine ? &fine : nullptr, rounds, spec), build, &maps_were_cached_);
-  const ImageMap& map = *maps_->map;
-  spdlog::info("session: {} coarse and {} fine vertices, images of {} x {} and {} x {} texels{}", coarse_vertices_,
-               maps_->fine.vertex_count(), map.coarse_width(), map.coarse_height(), map.fine_width(), map.fine_height(),
-               maps_were_cached_ ? ", maps from the cache" : "");
-  const Eigen::Vector2d scale = map.material_scale();
-  if (scale != Eigen::Vector2d::Ones()) {
-    spdlog::info("session: material coordinates are not in metres; by the rest mesh a unit is {:.4g} x {:.4g} m",
-                 scale.x(), scale.y());
-  }
+  representation_ = cache.get(
+      key_of(coarse, has_fine ? &fine : nullptr, wanted),
+      [&]() -> std::shared_ptr<const Representation> {
+        return make_representation(coarse, spec, has_fine ? &fine : nullptr);
+      },
+      &was_cached_);
+  const Representation& r = *representation_;
+  input_ = repeated(ranges_from(wanted.input(), r.input_channels().size(), "open.setup: input ranges"), spec.window);
+  output_ = ranges_from(wanted.output(), r.answer_channels().size(), "open.setup: output ranges");
+  frames_.resize(static_cast<std::size_t>(spec.window));
+  spdlog::info("session: {} coarse and {} fine vertices, {} to {} values, {} frames at once{}", coarse.vertex_count(),
+               r.fine().vertex_count(), in_words(r.input_shape()), in_words(r.answer_shape()), spec.window,
+               was_cached_ ? ", maps from the cache" : "");
 }
 
 void Session::describe(bool with_fine, v1::ConversionOpened* opened) const {
-  opened->set_coarse_width(static_cast<std::uint32_t>(maps_->map->coarse_width()));
-  opened->set_coarse_height(static_cast<std::uint32_t>(maps_->map->coarse_height()));
-  opened->set_fine_width(static_cast<std::uint32_t>(maps_->map->fine_width()));
-  opened->set_fine_height(static_cast<std::uint32_t>(maps_->map->fine_height()));
+  const Representation& r = *representation_;
+  const auto input = r.input_shape(), answer = r.answer_shape();
+  for (const std::int64_t extent : input) opened->add_input_shape(static_cast<std::uint32_t>(extent));
+  for (const std::int64_t extent : answer) opened->add_answer_shape(static_cast<std::uint32_t>(extent));
+  if (input.size() == 3) {
+    opened->set_coarse_width(static_cast<std::uint32_t>(input[2]));
+    opened->set_coarse_height(static_cast<std::uint32_t>(input[1]));
+    opened->set_fine_width(static_cast<std::uint32_t>(answer[2]));
+    opened->set_fine_height(static_cast<std::uint32_t>(answer[1]));
+  }
+  if (!r.constants().shape.empty()) to_message(r.constants(), opened->mutable_constants());
+  opened->set_dtype(r.fits_half() ? v1::Tensor::DTYPE_FLOAT16 : v1::Tensor::DTYPE_FLOAT32);
   if (!with_fine) return;
-  *opened->mutable_fine() = to_message(maps_->fine);
-  opened->mutable_feature_vertices()->Add(maps_->feature_vertices.begin(), maps_->feature_vertices.end());
+  *opened->mutable_fine() = to_message(r.fine());
+  const auto& features = r.subdivision().feature_vertices;
+  opened->mutable_feature_vertices()->Add(features.begin(), features.end());
 }
 
-void Session::to_image(const v1::Frame& request, v1::ImageFrame* response) {
-  const Frame frame = from_message(request, coarse_vertices_, "frame");
-  const RigidTransform transform = maps_->map->align(frame.positions);
-  maps_->map->coarse_image(frame, transform, image_);
-  response->set_out_of_range(
-      normalization_.minimum.empty() ? 0 : static_cast<std::uint32_t>(normalize(image_, normalization_)));
-  response->set_index(frame.index);
-  response->set_time_s(frame.time_s);
-  to_message(image_, response->mutable_image());
-  *response->mutable_alignment() = to_message(transform);
+void Session::encode(const v1::ToImageRequest& request, v1::ImageFrame* response) {
+  const Eigen::Index vertices = representation_->coarse().vertex_count();
+  if (request.earlier_size() + 1 != static_cast<int>(frames_.size())) {
+    throw_invalid_argument("earlier: " + std::to_string(request.earlier_size()) + " frames, the representation reads " +
+                           std::to_string(frames_.size() - 1) + " before the newest");
+  }
+  for (int t = 0; t < request.earlier_size(); ++t) {
+    frames_[static_cast<std::size_t>(t)] = from_message(request.earlier(t), vertices, "earlier");
+  }
+  Frame& newest = frames_.back();
+  newest = from_message(request.frame(), vertices, "frame");
+  const RigidTransform alignment = representation_->align(newest.positions);
+  representation_->encode(frames_, alignment, input_tensor_);
+  response->set_out_of_range(static_cast<std::uint32_t>(normalize(input_, input_tensor_)));
+  response->set_index(newest.index);
+  response->set_time_s(newest.time_s);
+  to_payload(input_tensor_, dtype_, response->mutable_image());
+  *response->mutable_alignment() = to_message(alignment);
 }
 
-void Session::to_mesh(const v1::ImageFrame& request, v1::MeshFrame* response) {
-  Tensor image = from_message(request.image(), "frame.image");
-  const RigidTransform transform = from_message(request.alignment(), "frame.alignment");
-  if (image.shape.size() != 3 || image.shape[0] < 3 || image.shape[0] > kImageChannels) {
-    throw_invalid_argument("frame.image: expected 3 to 9 channels, height and width");
+void Session::decode(const v1::ImageFrame& request, v1::MeshFrame* response) {
+  // Values that are not finite make positions that are not, which decode() refuses.
+  from_payload(request.image(), "frame.image", &answer_);
+  const RigidTransform alignment = from_message(request.alignment(), "frame.alignment");
+  // A network may answer the first channels alone, where they are all that positions need.
+  denormalize(first_channels(output_, answer_.shape[0]), answer_);
+  Positions coarse;
+  if (request.has_coarse()) {
+    coarse = positions_from_message(request.coarse(), representation_->coarse().vertex_count(), "frame.coarse");
   }
-  if (!displacement_.minimum.empty()) {
-    // Positions need the three displacement channels only.
-    image.values.resize(image.values.size() / static_cast<std::size_t>(image.shape[0]) * 3);
-    image.shape[0] = 3;
-    denormalize(image, displacement_);
-  }
-  maps_->map->to_mesh(image, transform, positions_);
+  representation_->decode(answer_, coarse, alignment, positions_);
   v1::Frame* fine = response->mutable_fine();
   fine->set_index(request.index());
   fine->set_time_s(request.time_s());

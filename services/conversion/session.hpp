@@ -3,11 +3,12 @@
 
 #include <cstdint>
 #include <memory>
+#include <vector>
 
+#include "common/features/channel_ranges.hpp"
 #include "pleat/v1/conversion.pb.h"
-#include "services/conversion/image_map.hpp"
-#include "services/conversion/map_cache.hpp"
-#include "services/conversion/normalization.hpp"
+#include "services/conversion/representation.hpp"
+#include "services/conversion/representation_cache.hpp"
 
 namespace pleat::conversion {
 
@@ -19,24 +20,28 @@ struct SessionLimits {
 /// Not for several threads. Every member throws Error for input that is wrong, and stays usable.
 class Session {
  public:
-  Session(const v1::ConversionSetup& setup, const SessionLimits& limits, MapCache& cache);
+  /// dtype: of the values that encode() answers.
+  Session(const v1::ConversionSetup& setup, const SessionLimits& limits, RepresentationCache& cache,
+          v1::Tensor::DType dtype = v1::Tensor::DTYPE_FLOAT32);
 
-  /// with_fine: the fine mesh and its feature vertices, too.
+  /// Sizes, constants, and with_fine: the fine mesh and its feature vertices, too.
   void describe(bool with_fine, v1::ConversionOpened* opened) const;
-  void to_image(const v1::Frame& request, v1::ImageFrame* response);
-  void to_mesh(const v1::ImageFrame& request, v1::MeshFrame* response);
+  /// What the network reads of a window of coarse frames, normalised.
+  void encode(const v1::ToImageRequest& request, v1::ImageFrame* response);
+  /// The fine frame that the network's answer means.
+  void decode(const v1::ImageFrame& request, v1::MeshFrame* response);
 
-  /// Whether the maps came from the cache.
-  bool maps_were_cached() const { return maps_were_cached_; }
+  /// Whether the representation came from the cache.
+  bool was_cached() const { return was_cached_; }
 
  private:
-  std::shared_ptr<const SessionMaps> maps_;
-  bool maps_were_cached_ = false;
-  Normalization normalization_;  // empty: values stay physical
-  Normalization displacement_;   // its first three channels
-  Eigen::Index coarse_vertices_;
+  std::shared_ptr<const Representation> representation_;
+  bool was_cached_ = false;
+  ChannelRanges input_, output_;  ///< input_: of all frames of the window
+  v1::Tensor::DType dtype_;
   // Reused from frame to frame.
-  Tensor image_;
+  std::vector<Frame> frames_;
+  Tensor input_tensor_, answer_;
   Positions positions_;
 };
 

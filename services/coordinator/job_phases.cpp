@@ -5,7 +5,9 @@
 #include <utility>
 
 #include "common/base/whole_file.hpp"
+#include "common/features/frame_features.hpp"
 #include "common/frame/messages.hpp"
+#include "common/frame/representation_messages.hpp"
 #include "common/frame/scene_json.hpp"
 #include "common/telemetry/stage_timer.hpp"
 #include "services/coordinator/job_runner.hpp"
@@ -17,9 +19,6 @@ namespace pleat::coordinator {
 namespace {
 
 namespace fs = std::filesystem;
-
-constexpr double kDefaultFrameTime = 0.04;
-constexpr std::uint32_t kDefaultSubdivisionRounds = 2;
 
 std::uint64_t frames_on_disk(const fs::path& file) {
   if (!fs::exists(file)) return 0;
@@ -41,6 +40,25 @@ std::vector<Eigen::Index> obstacle_vertices(const v1::Scene& scene,
     counts.push_back(count);
   }
   return counts;
+}
+
+/// The frames before `first` that a network with this window reads, from the file that has them.
+std::vector<v1::Frame> earlier_frames(const fs::path& partial, std::uint64_t first, std::uint32_t window,
+                                      double frame_time_s) {
+  std::vector<v1::Frame> earlier;
+  if (window < 2 || first == 0) return earlier;
+  const std::uint64_t begin = first - std::min<std::uint64_t>(first, window - 1), before = begin > 0 ? begin - 1 : 0;
+  const ResultReader reader(partial);
+  const std::vector<Positions> positions = reader.coarse(before, first);
+  for (std::uint64_t index = begin; index < first; ++index) {
+    Frame frame;
+    frame.index = index;
+    frame.positions = positions[index - before];
+    frame.velocities = backward_velocities(frame.positions,
+                                           index > before ? positions[index - before - 1] : Positions(), frame_time_s);
+    earlier.push_back(to_message(frame));
+  }
+  return earlier;
 }
 
 /// The bundle in `file` that the frames in `partial` were made with; nothing where there are no frames, or those of an
@@ -127,7 +145,12 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   session.model = describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
                                  [&] { return job.cause().has_value(); });
   session.window = settings_.window;
-  session.subdivision_rounds = scene.has_subdivision_rounds() ? scene.subdivision_rounds() : kDefaultSubdivisionRounds;
+  session.representation = representation_of(session.model);
+  if (scene.has_subdivision_rounds()) session.representation.set_subdivision_rounds(scene.subdivision_rounds());
+  // A scene cannot ask for the middle where a bundle has Loop's rule: that is what it says when it says nothing.
+  if (scene.subdivision_rule() != v1::SUBDIVISION_RULE_MIDPOINT) {
+    session.representation.set_subdivision_rule(scene.subdivision_rule());
+  }
 
   SimulationSource::Options simulation{.addresses = addresses_.simulation,
                                        .scene = scene,
@@ -140,7 +163,8 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   session.obstacles = started.opened.obstacles();
   const Topology coarse = from_message(session.coarse, "the simulation's coarse mesh");
   session.coarse.set_hash(topology_hash(coarse));
-  const Subdivision subdivision = subdivide(coarse, static_cast<int>(session.subdivision_rounds));
+  session.conversion = describe_conversion(addresses_, link_, session, [&] { return job.cause().has_value(); });
+  const Subdivision subdivision = subdivision_of(session, coarse);
   const auto fine_vertices = static_cast<std::size_t>(subdivision.fine.vertex_count());
 
   ResultOptions options;
@@ -184,9 +208,12 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
     });
   };
   const Counts before = counts_of(partial);
+  auto earlier =
+      earlier_frames(partial, frames_on_disk(partial), session.representation.window(), options.frame_time_s);
   Recorder recorder(result, options, subdivision, settings_.window,
                     {.stored = stored, .failed = [&](const Error& cause) { job.abort(cause); }});
   const std::uint64_t first = recorder.first_index();
+  if (first == 0) earlier.clear();  // the file could not be continued
   if (started.opened.next_index() > first) {
     // The file could not be continued, and the check-point lies beyond it.
     started = start_simulation(job, simulation, {}, 0);
@@ -207,6 +234,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
 
   SimulationSource& source = *started.source;
   session.first_sequence = first;
+  session.earlier = std::move(earlier);
   try {
     if (bundle && first > 0) {
       require_same_bundle(*bundle, session.model);

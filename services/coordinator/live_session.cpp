@@ -9,14 +9,12 @@
 #include <utility>
 
 #include "common/frame/messages.hpp"
+#include "common/frame/representation_messages.hpp"
 #include "services/coordinator/velocity_filler.hpp"
 
 namespace pleat::coordinator {
 namespace {
 
-constexpr double kDefaultFrameTime = 0.04;
-constexpr std::uint32_t kDefaultSubdivisionRounds = 2;
-constexpr std::uint32_t kMaxSubdivisionRounds = 5;
 constexpr int kInvalidArgument = static_cast<int>(grpc::StatusCode::INVALID_ARGUMENT);
 
 void check_obstacles(const v1::EnhanceOpen& open) {
@@ -85,7 +83,8 @@ class LiveSessions::Session {
     if (open.has_clearance_m() && !(open.clearance_m() >= 0 && std::isfinite(open.clearance_m()))) {
       throw_invalid_argument("open.clearance_m: must be 0 or more");
     }
-    if (open.has_subdivision_rounds() && open.subdivision_rounds() > kMaxSubdivisionRounds) {
+    if (open.has_subdivision_rounds() &&
+        open.subdivision_rounds() > static_cast<std::uint32_t>(kMaxSubdivisionRounds)) {
       throw_invalid_argument("open.subdivision_rounds: at most " + std::to_string(kMaxSubdivisionRounds));
     }
     check_obstacles(open);
@@ -96,13 +95,16 @@ class LiveSessions::Session {
     PipelineSession session;
     session.coarse = open.coarse();
     session.coarse.set_hash(topology_hash(coarse));
-    session.subdivision_rounds = open.has_subdivision_rounds() ? open.subdivision_rounds() : kDefaultSubdivisionRounds;
     session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
+    session.representation = representation_of(session.model);
+    if (open.has_subdivision_rounds()) session.representation.set_subdivision_rounds(open.subdivision_rounds());
+    if (open.has_subdivision_rule()) session.representation.set_subdivision_rule(open.subdivision_rule());
+    session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
     session.obstacles = open.obstacles();
     if (open.has_clearance_m()) session.clearance_m = open.clearance_m();
     session.skip_refinement = open.skip_refinement();
     session.window = window_;
-    const Subdivision subdivision = subdivide(coarse, static_cast<int>(session.subdivision_rounds));
+    const Subdivision subdivision = subdivision_of(session, coarse);
 
     EnhancementPipeline pipeline(
         owner_.addresses_, owner_.link_, session, static_cast<std::size_t>(subdivision.fine.vertex_count()),

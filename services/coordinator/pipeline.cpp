@@ -6,6 +6,7 @@
 #include <tuple>
 #include <utility>
 
+#include "common/frame/representation_messages.hpp"
 #include "common/mesh/mesh.hpp"
 #include "pleat/v1/conversion.grpc.pb.h"
 #include "pleat/v1/refinement.grpc.pb.h"
@@ -21,6 +22,12 @@ void add_times(PipelineFrame& frame, StageTimes& times) {
   times.Clear();
 }
 
+/// The request of a stage that has answered or was given up: it is sent by nobody, and gives back what it was lent.
+template <typename Request>
+Request& sent(PipelineFrame& frame) {
+  return const_cast<Request&>(static_cast<const Request&>(*frame.work));
+}
+
 struct ToImageRpc {
   using Service = v1::Conversion;
   using Request = v1::ToImageRequest;
@@ -31,10 +38,16 @@ struct ToImageRpc {
     frame.image.Swap(&answer);
     frame.alignment = frame.image.alignment();
   }
+  static void take_back(PipelineFrame& frame) {
+    frame.coarse.Swap(sent<Request>(frame).mutable_frame());
+    frame.coarse.set_index(frame.index);
+  }
   static void prepare(PipelineFrame& frame) {
     auto work = std::make_shared<Request>();
-    *work->mutable_frame() = frame.coarse;
+    work->mutable_frame()->Swap(&frame.coarse);
     work->mutable_frame()->set_index(frame.sequence);
+    for (const auto& earlier : frame.earlier) *work->add_earlier() = *earlier;
+    frame.earlier.clear();
     frame.work = std::move(work);
   }
 };
@@ -48,6 +61,7 @@ struct UpscaleRpc {
     add_times(frame, *answer.mutable_stage_times());
     frame.image.Swap(&answer);
   }
+  static void take_back(PipelineFrame&) {}
   static void prepare(PipelineFrame& frame) {
     auto work = std::make_shared<Request>();
     work->mutable_frame()->Swap(&frame.image);
@@ -64,6 +78,9 @@ struct ToMeshRpc {
     add_times(frame, *answer.mutable_stage_times());
     frame.fine.Swap(answer.mutable_fine());
   }
+  static void take_back(PipelineFrame& frame) {
+    frame.coarse.mutable_positions()->Swap(sent<Request>(frame).mutable_frame()->mutable_coarse()->mutable_positions());
+  }
   static void prepare(PipelineFrame& frame) {
     auto work = std::make_shared<Request>();
     work->mutable_frame()->Swap(&frame.image);
@@ -71,6 +88,8 @@ struct ToMeshRpc {
     work->mutable_frame()->set_index(frame.sequence);
     work->mutable_frame()->set_time_s(frame.coarse.time_s());
     *work->mutable_frame()->mutable_alignment() = frame.alignment;
+    // The answer is added to the coarse mesh.
+    work->mutable_frame()->mutable_coarse()->mutable_positions()->Swap(frame.coarse.mutable_positions());
     frame.work = std::move(work);
   }
 };
@@ -85,15 +104,21 @@ struct RefineRpc {
     frame.report.Swap(answer.mutable_report());
     frame.fine.Swap(answer.mutable_fine());
   }
+  static void take_back(PipelineFrame& frame) {
+    v1::RefineFrame& request = *sent<Request>(frame).mutable_frame();
+    frame.coarse.Swap(request.mutable_coarse());
+    frame.coarse.set_index(frame.index);
+    frame.obstacles.Swap(request.mutable_obstacles());
+  }
   static void prepare(PipelineFrame& frame) {
     auto work = std::make_shared<Request>();
     v1::RefineFrame& request = *work->mutable_frame();
-    *request.mutable_coarse() = frame.coarse;
+    request.mutable_coarse()->Swap(&frame.coarse);
     request.mutable_coarse()->set_index(frame.sequence);
     request.mutable_fine()->Swap(&frame.fine);
     request.mutable_fine()->set_index(frame.sequence);
-    request.mutable_fine()->set_time_s(frame.coarse.time_s());
-    *request.mutable_obstacles() = frame.obstacles;
+    request.mutable_fine()->set_time_s(request.coarse().time_s());
+    request.mutable_obstacles()->Swap(&frame.obstacles);
     frame.work = std::move(work);
   }
 };
@@ -101,12 +126,35 @@ struct RefineRpc {
 v1::ConversionSetup conversion_setup(const PipelineSession& session) {
   v1::ConversionSetup setup;
   *setup.mutable_coarse() = session.coarse;
-  setup.set_subdivision_rounds(session.subdivision_rounds);
-  setup.set_coarse_width(session.model.coarse_width());
-  setup.set_coarse_height(session.model.coarse_height());
-  setup.set_scale(session.model.scale());
-  *setup.mutable_normalization() = session.model.normalization();
+  *setup.mutable_representation() = session.representation;
   return setup;
+}
+
+/// Calls one of the addresses after the other until one answers, or the outage is too long.
+template <typename Response, typename Call>
+Response ask(const std::string& service, const std::vector<std::string>& addresses, const LinkOptions& link,
+             const std::function<bool()>& cancelled, const Call& call) {
+  Outage outage(link.give_up);
+  Backoff backoff(std::chrono::milliseconds(50), std::chrono::milliseconds(400));
+  for (std::size_t attempt = 0;; ++attempt) {
+    const std::string& address = addresses[attempt % addresses.size()];
+    Response response;
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + std::min(link.open_timeout, link.give_up));
+    const grpc::Status status = call(link.connect(address), &context, &response);
+    if (status.ok()) return response;
+    const Error error = rpc::to_error(status, service + " at " + address);
+    if (!may_pass(error.code())) throw error;
+    if (outage.too_long()) throw outage.gave_up(error);
+    if (cancelled()) throw Error(ErrorCode::kCancelled, "cancelled");
+    std::this_thread::sleep_for(backoff.next());
+  }
+}
+
+void check_fine_hash(const std::string& hash, const std::string& expected) {
+  if (!hash.empty() && hash != expected) {
+    throw_internal("subdivides the coarse mesh in another way: " + hash + ", expected " + expected);
+  }
 }
 
 /// What a bundle has another one of; empty if both make the same frames.
@@ -116,6 +164,7 @@ std::string difference(const v1::ModelDescription& before, const v1::ModelDescri
     return std::tuple(model.coarse_width(), model.coarse_height(), model.scale());
   };
   if (!MessageDifferencer::Equals(now.normalization(), before.normalization())) return "normalisation";
+  if (!MessageDifferencer::Equals(now.representation(), before.representation())) return "representation";
   if (image(now) != image(before)) return "image size";
   if (!std::equal(now.channels().begin(), now.channels().end(), before.channels().begin(), before.channels().end())) {
     return "list of channels";
@@ -142,24 +191,27 @@ std::vector<std::string> split_addresses(const std::string& service, const std::
 
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
                                     const std::function<bool()>& cancelled) {
-  Outage outage(link.give_up);
-  Backoff backoff(std::chrono::milliseconds(50), std::chrono::milliseconds(400));
-  for (std::size_t attempt = 0;; ++attempt) {
-    const std::string& address = addresses.superres[attempt % addresses.superres.size()];
-    v1::DescribeModelRequest request;
-    request.set_model(name);
-    v1::ModelDescription description;
-    grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + std::min(link.open_timeout, link.give_up));
-    const auto stub = v1::SuperResolution::NewStub(link.connect(address));
-    const grpc::Status status = stub->DescribeModel(&context, request, &description);
-    if (status.ok()) return description;
-    const Error error = rpc::to_error(status, "superres at " + address);
-    if (!may_pass(error.code())) throw error;
-    if (outage.too_long()) throw outage.gave_up(error);
-    if (cancelled()) throw Error(ErrorCode::kCancelled, "cancelled");
-    std::this_thread::sleep_for(backoff.next());
-  }
+  return ask<v1::ModelDescription>(
+      "superres", addresses.superres, link, cancelled, [&](const auto& channel, auto* context, auto* response) {
+        v1::DescribeModelRequest request;
+        request.set_model(name);
+        return v1::SuperResolution::NewStub(channel)->DescribeModel(context, request, response);
+      });
+}
+
+v1::ConversionOpened describe_conversion(const ServiceAddresses& addresses, const LinkOptions& link,
+                                         const PipelineSession& session, const std::function<bool()>& cancelled) {
+  const v1::ConversionSetup setup = conversion_setup(session);
+  return ask<v1::ConversionOpened>("conversion", addresses.conversion, link, cancelled,
+                                   [&](const auto& channel, auto* context, auto* response) {
+                                     return v1::Conversion::NewStub(channel)->Describe(context, setup, response);
+                                   });
+}
+
+Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse) {
+  Subdivision subdivision = subdivide(coarse, subdivision_from(session.representation));
+  check_fine_hash(session.conversion.fine().hash(), topology_hash(subdivision.fine));
+  return subdivision;
 }
 
 void require_same_bundle(const v1::ModelDescription& before, const v1::ModelDescription& now) {
@@ -172,7 +224,10 @@ void require_same_bundle(const v1::ModelDescription& before, const v1::ModelDesc
 EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, const LinkOptions& link,
                                          const PipelineSession& session, std::size_t fine_vertices,
                                          const std::string& fine_hash, Sink sink, std::function<void()> failed)
-    : sink_(std::move(sink)), failed_(std::move(failed)), fine_vertices_(fine_vertices) {
+    : sink_(std::move(sink)),
+      failed_(std::move(failed)),
+      fine_vertices_(fine_vertices),
+      earlier_(session.representation.window()) {
   const std::size_t count = session.skip_refinement ? kRefinement : kRefinement + 1;
   stage_opened_.assign(count, false);
   const auto stage_is_open = [this](std::size_t stage) {
@@ -195,15 +250,13 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
     callbacks.failed = [this](const Error& cause) { fail(cause); };
     return callbacks;
   };
-  const auto check_fine = [fine_hash](const std::string& hash) {
-    if (!hash.empty() && hash != fine_hash) {
-      throw_internal("subdivides the coarse mesh in another way: " + hash + ", expected " + fine_hash);
-    }
-  };
+  const auto check_fine = [fine_hash](const std::string& hash) { check_fine_hash(hash, fine_hash); };
+  for (const v1::Frame& frame : session.earlier) earlier_.fill(frame);
   RemoteStage<ToImageRpc>::Options to_image{
       .stage = "to_image", .service = "conversion", .addresses = addresses.conversion, .open = {}, .link = link};
   *to_image.open.mutable_open()->mutable_setup() = conversion_setup(session);
   to_image.open.mutable_open()->set_window(session.window);
+  to_image.open.mutable_open()->set_dtype(session.conversion.dtype());
   to_image.window = session.window;
   to_image.first_sequence = session.first_sequence;
   const auto any = [](const auto&) {};
@@ -215,6 +268,10 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
   upscale.open.mutable_open()->set_topology_hash(session.coarse.hash());
   upscale.open.mutable_open()->set_window(session.window);
   upscale.open.mutable_open()->set_displacement_only(true);
+  upscale.open.mutable_open()->set_dtype(session.conversion.dtype());
+  if (session.conversion.has_constants()) {
+    *upscale.open.mutable_open()->mutable_constants() = session.conversion.constants();
+  }
   upscale.window = session.window;
   upscale.first_sequence = session.first_sequence;
   // Conversion was set up for the bundle that was described: images of another one would be read wrongly.
@@ -237,7 +294,10 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
         .stage = "refinement", .service = "refinement", .addresses = addresses.refinement, .open = {}, .link = link};
     v1::RefineOpen& open = *refine.open.mutable_open();
     *open.mutable_coarse() = session.coarse;
-    open.set_subdivision_rounds(session.subdivision_rounds);
+    if (session.representation.has_subdivision_rounds()) {
+      open.set_subdivision_rounds(session.representation.subdivision_rounds());
+    }
+    open.set_subdivision_rule(session.representation.subdivision_rule());
     *open.mutable_obstacles() = session.obstacles;
     if (session.clearance_m) open.set_clearance_m(*session.clearance_m);
     open.set_window(session.window);
@@ -264,7 +324,10 @@ void EnhancementPipeline::wait_open() {
 
 bool EnhancementPipeline::push(std::unique_ptr<PipelineFrame> frame) {
   if (failed()) return false;
-  if (!frame->error) prepare_.front()(*frame);
+  if (!frame->error) {
+    frame->earlier = earlier_.fill(frame->coarse);
+    prepare_.front()(*frame);
+  }
   return stages_.front()->push(std::move(frame));
 }
 

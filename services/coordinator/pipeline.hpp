@@ -11,6 +11,7 @@
 
 #include "common/mesh/subdivision.hpp"
 #include "pleat/v1/superres.pb.h"
+#include "services/coordinator/earlier_frames.hpp"
 #include "services/coordinator/pipeline_frame.hpp"
 #include "services/coordinator/remote_stage.hpp"
 
@@ -27,8 +28,10 @@ std::vector<std::string> split_addresses(const std::string& service, const std::
 /// What the stages of one session agree on.
 struct PipelineSession {
   v1::Topology coarse;
-  std::uint32_t subdivision_rounds = 2;
   v1::ModelDescription model;
+  v1::Representation representation;  ///< of the model, or with another subdivision that was asked for
+  v1::ConversionOpened conversion;    ///< what conversion says of it: describe_conversion()
+  std::vector<v1::Frame> earlier;     ///< the frames before first_sequence that its window needs, the oldest first
   google::protobuf::RepeatedPtrField<v1::ObstacleShape> obstacles;
   std::optional<float> clearance_m;
   bool skip_refinement = false;
@@ -40,6 +43,14 @@ struct PipelineSession {
 /// service's default. `cancelled` is asked between attempts. Errors: kNotFound, kUnavailable (naming the address), ...
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
                                     const std::function<bool()>& cancelled);
+
+/// Asks the conversion service for what a session will get, as describe_model() asks for the bundle.
+v1::ConversionOpened describe_conversion(const ServiceAddresses& addresses, const LinkOptions& link,
+                                         const PipelineSession& session, const std::function<bool()>& cancelled);
+
+/// The fine mesh of a session, and how it comes from the coarse one. Throws kInternal unless it is the one that
+/// conversion has described.
+Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse);
 
 /// Throws kFailedPrecondition, saying what differs, if frames of the bundle that describes itself as `now` must not
 /// follow those of `before`. Where it runs (device, precision) may change.
@@ -84,6 +95,7 @@ class EnhancementPipeline {
   const Sink sink_;
   const std::function<void()> failed_;
   const std::size_t fine_vertices_;
+  EarlierFrames earlier_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::optional<Error> failure_;

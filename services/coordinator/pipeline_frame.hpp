@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "pleat/v1/common.pb.h"
 #include "pleat/v1/conversion.pb.h"
@@ -19,8 +20,10 @@ struct PipelineFrame {
   std::uint64_t sequence = 0;  ///< place in the session; the frame index between the services
   std::uint64_t index = 0;     ///< the client's frame index; equal to `sequence` in jobs
   v1::Frame coarse;            ///< with velocities
+  /// Those before it that the network reads, the oldest first; the pipeline's, see EarlierFrames.
+  std::vector<std::shared_ptr<const v1::Frame>> earlier;
   ObstacleFrames obstacles;
-  v1::ImageFrame image;  ///< coarse after to_image, fine after superres, empty after to_mesh
+  v1::ImageFrame image;  ///< what the network reads after to_image, its answer after superres, empty after to_mesh
   v1::RigidTransform alignment;
   v1::Frame fine;  ///< after to_mesh; refined after refinement
   v1::RefinementReport report;

@@ -84,7 +84,8 @@ class Stage {
   virtual void join() = 0;   ///< after stop() or when drained: waits until no callback can come any more
 };
 
-/// Rpc: Service, Request, Response, start(stub, context), and absorb(PipelineFrame&, Response::frame*).
+/// Rpc: Service, Request, Response, start(stub, context), take_back(PipelineFrame&) of what the request was lent, once
+/// nobody sends it any more, and absorb(PipelineFrame&, Response::frame*).
 template <typename Rpc>
 class RemoteStage final : public Stage {
  public:
@@ -169,6 +170,7 @@ class RemoteStage final : public Stage {
       }
       if (answered) backoff.reset();
       if (auto frame = scheduler_.broke_off(r)) {
+        Rpc::take_back(*frame);
         frame->work.reset();
         frame->fail(static_cast<int>(grpc::StatusCode::INTERNAL),
                     "the stage broke off again and again at this frame: " + std::string(cause->what()));
@@ -275,6 +277,7 @@ class RemoteStage final : public Stage {
       }
       answered = true;
       outage_.serves();
+      Rpc::take_back(*frame);
       frame->work.reset();
       if (ok) {
         Rpc::absorb(*frame, *response.mutable_frame());

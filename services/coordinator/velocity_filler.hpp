@@ -4,7 +4,10 @@
 #include <array>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
+
+#include "common/features/frame_features.hpp"
 
 namespace pleat::coordinator {
 
@@ -24,14 +27,11 @@ class VelocityFiller {
         before = &known;
       }
     }
-    std::vector<float> velocities(count, 0.0F);
-    if (before != nullptr) {
-      const double time_s = frame_time_s_ * static_cast<double>(index - before->index);
-      for (std::size_t i = 0; i < count; ++i) {
-        velocities[i] = static_cast<float>(
-            (static_cast<double>(positions[i]) - static_cast<double>(before->positions[i])) / time_s);
-      }
-    }
+    std::vector<float> velocities(count);
+    const std::uint64_t frames = before != nullptr ? index - before->index : 1;
+    backward_velocities({positions, count},
+                        before != nullptr ? std::span<const float>(before->positions) : std::span<const float>(),
+                        frame_time_s_ * static_cast<double>(frames), velocities);
     remember(index, positions, count);
     return velocities;
   }

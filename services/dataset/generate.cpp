@@ -103,7 +103,7 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   master.git_revision = options.git_revision;
   std::ifstream material(options.scenes.material, std::ios::binary);
   master.material.assign(std::istreambuf_iterator<char>(material), {});
-  Subdivision subdivision = subdivide(scene.garment, scene.subdivision_rounds);
+  Subdivision subdivision = subdivide(scene.garment, scene.subdivision_rounds, scene.subdivision_rule);
   master.topology.coarse = scene.garment;
   master.topology.fine = std::move(subdivision.fine);
   master.topology.feature_vertices = std::move(subdivision.feature_vertices);

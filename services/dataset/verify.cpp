@@ -140,9 +140,10 @@ class Verifier {
     }
     if (report_.frames == 0) return;
     try {
-      const FeatureRange range = measure_range(reader_, 0);
-      for (std::size_t c = 0; c < range.minimum.size(); ++c) {
-        if (range.minimum[c] < normalization->minimum[c] || range.maximum[c] > normalization->maximum[c]) {
+      const ChannelRanges range = measure_range(reader_, 0);
+      for (std::size_t c = 0; c < range.channels(); ++c) {
+        if (range.offset[c] < normalization->offset[c] ||
+            range.offset[c] + range.scale[c] > normalization->offset[c] + normalization->scale[c]) {
           problem("dataset.h5: the normalisation does not cover channel " + std::to_string(c) +
                   " of the training split");
         }

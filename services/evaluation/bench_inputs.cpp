@@ -4,7 +4,9 @@
 #include <cmath>
 
 #include "common/base/error.hpp"
+#include "common/features/frame_features.hpp"
 #include "common/frame/messages.hpp"
+#include "common/frame/representation_messages.hpp"
 #include "services/conversion/session.hpp"
 #include "services/evaluation/evaluation.hpp"
 #include "services/evaluation/superres_process.hpp"
@@ -33,41 +35,46 @@ void add_wrinkles(const Topology& fine, double amplitude_m, double wavelength_m,
 /// A bundle and the conversions around it, called one after the other.
 class Enhancer {
  public:
-  Enhancer(const BenchOptions& options, const Topology& coarse, int rounds)
+  Enhancer(const BenchOptions& options, const Topology& coarse, const SubdivisionSpec& subdivision)
       : service_(options.models, "auto", options.out / "logs" / "superres-refinement.log"),
         model_(service_.describe(options.model)),
         cache_(0),
-        session_(setup(model_, coarse, rounds), {}, cache_),
+        session_(setup(model_, coarse, subdivision), {}, cache_),
         stream_(service_.stream()) {
     request_.mutable_open()->set_model(model_.model());
     request_.mutable_open()->set_topology_hash(topology_hash(coarse));
     request_.mutable_open()->set_window(1);
+    v1::ConversionOpened conversion;
+    session_.describe(false, &conversion);
+    if (conversion.has_constants()) *request_.mutable_open()->mutable_constants() = conversion.constants();
     stream_->open(request_);
   }
 
   /// The fine positions before refinement. coarse: with velocities.
   Positions enhance(const Frame& coarse) {
-    session_.to_image(to_message(coarse), request_.mutable_frame());
+    v1::ToImageRequest image;
+    *image.mutable_frame() = to_message(coarse);
+    session_.encode(image, request_.mutable_frame());
+    v1::ImageFrame answer = upscale(*stream_, request_);
+    answer.mutable_coarse()->Swap(image.mutable_frame());
     v1::MeshFrame mesh;
-    session_.to_mesh(upscale(*stream_, request_), &mesh);
+    session_.decode(answer, &mesh);
     return positions_from_message(mesh.fine());
   }
 
  private:
-  static v1::ConversionSetup setup(const v1::ModelDescription& model, const Topology& coarse, int rounds) {
+  static v1::ConversionSetup setup(const v1::ModelDescription& model, const Topology& coarse,
+                                   const SubdivisionSpec& subdivision) {
     v1::ConversionSetup setup;
     *setup.mutable_coarse() = to_message(coarse);
-    setup.set_subdivision_rounds(static_cast<std::uint32_t>(rounds));
-    setup.set_coarse_width(model.coarse_width());
-    setup.set_coarse_height(model.coarse_height());
-    setup.set_scale(model.scale());
-    *setup.mutable_normalization() = model.normalization();
+    *setup.mutable_representation() = representation_of(model);
+    set_subdivision(subdivision, setup.mutable_representation());
     return setup;
   }
 
   SuperresProcess service_;
   v1::ModelDescription model_;
-  conversion::MapCache cache_;
+  conversion::RepresentationCache cache_;
   conversion::Session session_;
   std::unique_ptr<SuperresProcess::Stream> stream_;
   v1::UpscaleRequest request_;
@@ -78,10 +85,10 @@ void visit_dataset(const BenchOptions& options, const std::function<void(const R
   const DatasetReader dataset(options.dataset);
   RefinementSetting setting;
   setting.coarse = dataset.topology().coarse;
-  const int rounds = subdivision_rounds(dataset.topology());
-  setting.subdivision = subdivide(setting.coarse, rounds);
+  const SubdivisionSpec subdivision = subdivision_of(dataset.topology());
+  setting.subdivision = subdivide(setting.coarse, subdivision);
   setting.range = dataset.master().normalization;
-  Enhancer enhancer(options, setting.coarse, rounds);
+  Enhancer enhancer(options, setting.coarse, subdivision);
   std::string sequence;
   for (const FramePlace& place : choose_frames(dataset, options.frames)) {
     if (place.sequence.name != sequence) {
@@ -163,7 +170,7 @@ FramePair read_pair(const DatasetReader& dataset, const FramePlace& place) {
   const auto frame = [&](std::vector<Positions> positions) {
     Frame result;
     result.index = place.index;
-    result.velocities = (positions.back() - positions.front()) / static_cast<float>(dataset.master().frame_time_s);
+    result.velocities = backward_velocities(positions.back(), positions.front(), dataset.master().frame_time_s);
     result.positions = std::move(positions.back());
     return result;
   };

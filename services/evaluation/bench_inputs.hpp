@@ -44,7 +44,7 @@ struct RefinementSetting {
   Topology coarse;
   Subdivision subdivision;
   std::vector<ObstacleShape> shapes;
-  std::optional<FeatureRange> range;  ///< of a data set, for the PSNR
+  std::optional<ChannelRanges> range;  ///< of a data set, for the PSNR
 };
 
 struct RefinementInput {

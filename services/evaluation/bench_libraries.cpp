@@ -2,12 +2,15 @@
 #include <chrono>
 #include <cmath>
 #include <functional>
+#include <memory>
 #include <numeric>
 #include <optional>
+#include <span>
 
 #include "common/base/statistics.hpp"
 #include "common/mesh/obj.hpp"
-#include "services/conversion/image_map.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
+#include "services/conversion/representation.hpp"
 #include "services/evaluation/bench_inputs.hpp"
 #include "services/evaluation/evaluation.hpp"
 #include "services/evaluation/metrics.hpp"
@@ -116,13 +119,62 @@ Figures bench_simulation(const BenchOptions& options) {
           {"fine_frame", time_of_frames(options, Mode::kFreeFine, costly)}};
 }
 
+namespace {
+
+/// The detail layout at 16, 64 and 256 faces per coarse face. Its coarse image stays, so that the fine one grows with
+/// the mesh.
+void add_detail_times(const Topology& coarse, Figures& figures) {
+  struct Size {
+    std::unique_ptr<const Representation> representation;
+    Tensor input, answer;
+    std::vector<double> build, encode, decode;
+  };
+  std::vector<Size> sizes;
+  RepresentationSpec spec;
+  for (const int rounds : {2, 3, 4}) {
+    GeometryImageSpec image;
+    image.layout = ImageLayout::kDetail;
+    image.image.scale = 1 << rounds;
+    if (!sizes.empty()) {
+      const auto shape = sizes.front().representation->input_shape();
+      image.image.coarse_height = static_cast<int>(shape[1]), image.image.coarse_width = static_cast<int>(shape[2]);
+    }
+    spec.kind = image;
+    spec.subdivision.rounds = rounds;
+    Size& size = sizes.emplace_back();
+    size.build.push_back(milliseconds([&] { size.representation = make_representation(coarse, spec); }));
+    size.answer.shape = size.representation->answer_shape();
+    size.answer.values.assign(3 * size.representation->answer_mask().size(), 1e-3F);
+  }
+  const Frame frame = wrinkled_pair(coarse, sizes.front().representation->subdivision(), 0.3).coarse;
+  Positions fine;
+  for (std::size_t r = 0; r < kConversionRuns; ++r) {
+    for (Size& size : sizes) {
+      const RigidTransform alignment = size.representation->align(frame.positions);
+      size.encode.push_back(
+          milliseconds([&] { size.representation->encode(std::span(&frame, 1), alignment, size.input); }));
+      size.decode.push_back(
+          milliseconds([&] { size.representation->decode(size.answer, frame.positions, alignment, fine); }));
+    }
+  }
+  for (const Size& size : sizes) {
+    const std::string name = "detail/" + std::to_string(size.representation->fine().vertex_count()) + "/";
+    figures.push_back({name + "build", {median(size.build), size.build.size(), "ms"}});
+    figures.push_back({name + "encode", {median(size.encode), size.encode.size(), "ms"}});
+    figures.push_back({name + "decode", {median(size.decode), size.decode.size(), "ms"}});
+  }
+}
+
+}  // namespace
+
 Figures bench_conversion(const BenchOptions& options) {
   const simulation::Scene scene = load_bench_scene(scene_or(options, "draping"), 1);
   std::optional<DatasetReader> dataset;
   if (!options.dataset.empty()) dataset.emplace(options.dataset);
   const Topology& coarse = dataset ? dataset->topology().coarse : scene.garment;
   const Subdivision subdivision =
-      subdivide(coarse, dataset ? subdivision_rounds(dataset->topology()) : scene.subdivision_rounds);
+      subdivide(coarse, dataset ? subdivision_of(dataset->topology())
+                                : SubdivisionSpec{scene.subdivision_rounds, scene.subdivision_rule});
   std::vector<double> build, image_ms, mesh_ms;
   for (std::size_t r = 0; r < kMapRuns; ++r)
     build.push_back(milliseconds([&] { const ImageMap map(coarse, subdivision.fine); }));
@@ -153,6 +205,7 @@ Figures bench_conversion(const BenchOptions& options) {
                   {"build_map", {median(build), build.size(), "ms"}},
                   {"round_trip_rms", trips.rms()},
                   {"round_trip_max", trips.largest()}};
+  add_detail_times(coarse, figures);
   add_round_trip_table(frames, "", figures);
 
   const Topology skirt = read_obj(std::filesystem::path("deploy/garments/skirt.obj"));
@@ -170,14 +223,7 @@ Figures bench_refinement(const BenchOptions& options) {
   double before_pairs = 0, before_faces = 0, pairs = 0, faces = 0, unclean_inputs = 0, error_before = 0, error = 0;
   RefinedMesh refined;
   const auto begin = [&](const RefinementSetting& s) {
-    if (setting == nullptr && s.range) {
-      DisplacementRange range;
-      for (std::size_t c = 0; c < 3; ++c) {
-        range.minimum[c] = s.range->minimum[c];
-        range.maximum[c] = s.range->maximum[c];
-      }
-      image_error.emplace(s.coarse, s.subdivision.fine, range);
-    }
+    if (setting == nullptr && s.range) image_error.emplace(s.coarse, s.subdivision.fine, *s.range);
     setting = &s;
     refiner.emplace(s.coarse, s.subdivision, s.shapes);
   };

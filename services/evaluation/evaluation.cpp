@@ -15,7 +15,6 @@
 namespace pleat::evaluation {
 namespace {
 
-constexpr int kMaxRounds = 5;
 constexpr const char* kUpsamplingMethod = "barycentric";
 
 }  // namespace
@@ -38,18 +37,14 @@ std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const s
   return chosen;
 }
 
-int subdivision_rounds(const MeshPair& topology) {
-  Eigen::Index faces = topology.coarse.face_count();
-  for (int rounds = 0; rounds <= kMaxRounds && faces <= topology.fine.face_count(); ++rounds, faces *= 4) {
-    if (faces == topology.fine.face_count() &&
-        topology_hash(subdivide(topology.coarse, rounds).fine) == topology_hash(topology.fine))
-      return rounds;
-  }
-  throw_invalid_argument("the fine mesh of the data set is not the subdivision of its coarse mesh");
+SubdivisionSpec subdivision_of(const MeshPair& topology) {
+  const auto spec = find_subdivision(topology.coarse, topology.fine);
+  if (!spec) throw_invalid_argument("the fine mesh of the data set is not a subdivision of its coarse mesh");
+  return *spec;
 }
 
 Method barycentric_method(const MeshPair& topology) {
-  const auto subdivision = std::make_shared<Subdivision>(subdivide(topology.coarse, subdivision_rounds(topology)));
+  const auto subdivision = std::make_shared<Subdivision>(subdivide(topology.coarse, subdivision_of(topology)));
   return {kUpsamplingMethod, [subdivision, faces = topology.coarse.faces](const MethodInput& input, const auto& sink) {
             for (std::uint64_t k = 0; k < input.frames; ++k)
               sink(k, MethodFrame{upsample(*subdivision, faces, input.coarse(k)), {}});
@@ -75,14 +70,7 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
   const std::vector<SequenceInfo> sequences = chosen_sequences(dataset, options.sequences);
   const MeshPair& topology = dataset.topology();
-  std::optional<DisplacementRange> range;
-  if (const auto& normalization = dataset.master().normalization) {
-    range.emplace();
-    for (std::size_t c = 0; c < 3; ++c) {
-      range->minimum[c] = normalization->minimum[c];
-      range->maximum[c] = normalization->maximum[c];
-    }
-  }
+  const std::optional<ChannelRanges>& range = dataset.master().normalization;
   const auto frames_of = [&options](const SequenceInfo& info) {
     return options.frames > 0 ? std::min(options.frames, info.frames_complete) : info.frames_complete;
   };

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/evaluation/metrics.hpp"
 
@@ -61,8 +62,8 @@ Method barycentric_method(const MeshPair& topology);
 /// method does not have.
 Method zurdo_method(const DatasetReader& dataset);
 
-/// Rounds of subdivision from the coarse to the fine mesh; kInvalidArgument if there is no such number.
-int subdivision_rounds(const MeshPair& topology);
+/// How the fine mesh comes from the coarse one; kInvalidArgument if it is no subdivision.
+SubdivisionSpec subdivision_of(const MeshPair& topology);
 
 /// Runs every method on every sequence. Penetrations and self-intersections are counted by the judge of
 /// services/refinement on what the method gave, whatever it reports itself; only the counts before refinement are the

@@ -8,7 +8,7 @@
 #include "common/base/error.hpp"
 #include "common/base/statistics.hpp"
 #include "common/mesh/connectivity.hpp"
-#include "services/conversion/image_map.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
 #include "services/evaluation/surface_distance.hpp"
 
 namespace pleat::evaluation {
@@ -212,12 +212,15 @@ double StretchError::operator()(const Positions& reference, const Positions& can
   return std::sqrt(sum / static_cast<double>(edges_.size()));
 }
 
-DisplacementImageError::DisplacementImageError(const Topology& coarse, const Topology& fine,
-                                               const DisplacementRange& range, int coarse_width, int coarse_height)
+DisplacementImageError::DisplacementImageError(const Topology& coarse, const Topology& fine, const ChannelRanges& range,
+                                               int coarse_width, int coarse_height)
     : range_(range) {
-  for (std::size_t c = 0; c < 3; ++c)
-    if (!(range.maximum[c] > range.minimum[c]))
+  check_ranges(range, kFrameChannels, "the range of the features");
+  for (std::size_t c = 0; c < 3; ++c) {
+    if (range.empty() || !(range.scale[c] > 0)) {
       throw_invalid_argument("the range of displacement channel " + std::to_string(c) + " is empty");
+    }
+  }
   ImageSpec spec;
   spec.coarse_width = coarse_width;
   spec.coarse_height = coarse_height;
@@ -242,7 +245,7 @@ double DisplacementImageError::mean_square_error(const Positions& coarse, const 
   std::size_t valid = 0;
   for (const std::uint8_t m : mask) valid += m != 0 ? 1 : 0;
   for (std::size_t c = 0; c < 3; ++c) {
-    const double range = static_cast<double>(range_.maximum[c]) - static_cast<double>(range_.minimum[c]);
+    const auto range = static_cast<double>(range_.scale[c]);
     double channel = 0;
     const std::size_t offset = (static_cast<std::size_t>(kDisplacementChannel) + c) * mask.size();
     for (std::size_t t = 0; t < mask.size(); ++t) {
@@ -258,7 +261,7 @@ double DisplacementImageError::mean_square_error(const Positions& coarse, const 
 
 MetricsAccumulator::MetricsAccumulator(const Topology& coarse, const Topology& fine,
                                        std::span<const std::uint32_t> feature_vertices,
-                                       const std::optional<DisplacementRange>& range, int coarse_width,
+                                       const std::optional<ChannelRanges>& range, int coarse_width,
                                        int coarse_height)
     : faces_(fine.faces),
       fine_vertices_(fine.vertex_count()),

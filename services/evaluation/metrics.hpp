@@ -8,6 +8,7 @@
 #include <span>
 #include <vector>
 
+#include "common/features/channel_ranges.hpp"
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
 #include "common/mesh/wrinkles.hpp"
@@ -113,26 +114,21 @@ class StretchError {
   std::vector<double> rest_lengths_;
 };
 
-/// Range of the displacement channels, for the PSNR.
-struct DisplacementRange {
-  std::array<float, 3> minimum{};
-  std::array<float, 3> maximum{};
-};
-
 /// Mean square error of the displacement images of a frame pair, after normalisation to [0, 1], over valid texels and
 /// the three channels. Both frames take the alignment of the coarse frame.
 class DisplacementImageError {
  public:
-  /// coarse_width, coarse_height: texels; 0: the default size. Throws kInvalidArgument (unusable meshes, empty range).
-  DisplacementImageError(const Topology& coarse, const Topology& fine, const DisplacementRange& range,
-                         int coarse_width = 0, int coarse_height = 0);
+  /// range: of the nine features; the displacements' scales count. coarse_width, coarse_height: texels; 0: the default
+  /// size. Throws kInvalidArgument (unusable meshes, empty range).
+  DisplacementImageError(const Topology& coarse, const Topology& fine, const ChannelRanges& range, int coarse_width = 0,
+                         int coarse_height = 0);
   ~DisplacementImageError();
 
   double mean_square_error(const Positions& coarse, const Positions& reference, const Positions& candidate);
 
  private:
   std::unique_ptr<ImageMap> map_;
-  DisplacementRange range_;
+  ChannelRanges range_;
   Tensor reference_, candidate_;
 };
 
@@ -166,7 +162,7 @@ class MetricsAccumulator {
  public:
   /// feature_vertices: indices of the coarse vertices in the fine mesh. range: without it there is no PSNR.
   MetricsAccumulator(const Topology& coarse, const Topology& fine, std::span<const std::uint32_t> feature_vertices,
-                     const std::optional<DisplacementRange>& range, int coarse_width = 0, int coarse_height = 0);
+                     const std::optional<ChannelRanges>& range, int coarse_width = 0, int coarse_height = 0);
   ~MetricsAccumulator();
 
   void begin_sequence();

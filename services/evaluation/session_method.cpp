@@ -7,7 +7,7 @@ namespace pleat::evaluation {
 
 Method session_method(std::shared_ptr<const client::Client> client, const MeshPair& topology, const std::string& model,
                       bool refine) {
-  const int rounds = subdivision_rounds(topology);
+  const int rounds = subdivision_of(topology).rounds;
   return {"pleat:" + model, [=, client = std::move(client)](const MethodInput& input, const auto& sink) {
             client::EnhanceSession session =
                 client->enhance({.coarse = client::from_topology(topology.coarse),

@@ -110,7 +110,7 @@ std::vector<Wanted> wanted(const TablesOptions& options, const std::string& set)
 /// The frame that has most of what upsampling lacks.
 void choose_frame(const DatasetReader& dataset, const TablesOptions& options, std::string& sequence,
                   std::uint64_t& index) {
-  const Subdivision subdivision = subdivide(dataset.topology().coarse, subdivision_rounds(dataset.topology()));
+  const Subdivision subdivision = subdivide(dataset.topology().coarse, subdivision_of(dataset.topology()));
   double most = -1;
   for (const SequenceInfo& info : chosen_sequences(dataset, {})) {
     const std::uint64_t frames =

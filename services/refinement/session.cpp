@@ -9,12 +9,11 @@
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
+#include "common/frame/representation_messages.hpp"
 #include "common/mesh/subdivision.hpp"
 
 namespace pleat::refinement {
 namespace {
-
-constexpr std::uint32_t kDefaultRounds = 2, kMaxRounds = 5;
 
 std::uint32_t count_of(std::size_t value) {
   return static_cast<std::uint32_t>(std::min<std::size_t>(value, std::numeric_limits<std::uint32_t>::max()));
@@ -36,23 +35,21 @@ void fill(const RefinementReport& report, v1::RefinementReport* message) {
 
 Session::Session(const v1::RefineOpen& open, const SessionOptions& options) {
   const Topology coarse = from_message(open.coarse(), "open.coarse");
-  const std::uint32_t rounds = open.has_subdivision_rounds() ? open.subdivision_rounds() : kDefaultRounds;
-  if (rounds > kMaxRounds) {
-    throw_invalid_argument("open.subdivision_rounds: at most 5, not " + std::to_string(rounds));
-  }
-  const double vertices = static_cast<double>(coarse.vertex_count()) * std::pow(4.0, rounds);
+  const SubdivisionSpec spec = subdivision_from(open);
+  const double vertices =
+      static_cast<double>(coarse.vertex_count()) * std::pow(4.0, std::min(spec.rounds, kMaxSubdivisionRounds));
   if (vertices > static_cast<double>(options.max_vertices)) {
     throw Error(ErrorCode::kResourceExhausted,
                 "open.coarse: about " + std::to_string(static_cast<std::int64_t>(vertices)) +
                     " fine vertices, more than this service's limit of " + std::to_string(options.max_vertices));
   }
-  const Subdivision subdivision = subdivide(coarse, static_cast<int>(rounds));
+  const Subdivision subdivision = subdivide(coarse, spec);
   fine_hash_ = topology_hash(subdivision.fine);
   if (open.has_fine() && open.fine().faces_size() > 0 &&
       topology_hash(from_message(open.fine(), "open.fine")) != fine_hash_) {
     throw Error(ErrorCode::kFailedPrecondition,
-                "open.fine: refinement needs the fine mesh that splitting the coarse edges " + std::to_string(rounds) +
-                    " times gives, and this is another one");
+                "open.fine: refinement needs the fine mesh that splitting the coarse edges " +
+                    std::to_string(spec.rounds) + " times gives, and this is another one");
   }
   for (const auto& obstacle : open.obstacles()) {
     obstacles_.push_back(from_message(obstacle, "open.obstacles[" + std::to_string(obstacles_.size()) + "]"));

@@ -126,7 +126,7 @@ struct Scene {
   std::vector<Obstacle> obstacles;
   Contact contact;
   int subdivision_rounds = 2;
-  SubdivisionRule subdivision_rule = SubdivisionRule::kMidpoint;  ///< kLoop: a free fine simulation's only
+  SubdivisionRule subdivision_rule = SubdivisionRule::kMidpoint;  ///< kSmooth: a free fine simulation's only
   Tracking tracking;
   std::uint64_t seed = 0;
   int threads = 0;  ///< 0: the processors this process may use

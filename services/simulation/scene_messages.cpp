@@ -119,7 +119,7 @@ SubdivisionRule rule_from(v1::SubdivisionRule rule) {
     case v1::SUBDIVISION_RULE_MIDPOINT:
       return SubdivisionRule::kMidpoint;
     case v1::SUBDIVISION_RULE_LOOP:
-      return SubdivisionRule::kLoop;
+      return SubdivisionRule::kSmooth;
     default:
       throw_invalid_argument("scene.subdivision_rule: unknown value " + std::to_string(static_cast<int>(rule)));
   }

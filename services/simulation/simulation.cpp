@@ -13,6 +13,7 @@
 #include "common/base/hash.hpp"
 #include "common/base/parallel.hpp"
 #include "common/base/random.hpp"
+#include "common/features/frame_features.hpp"
 #include "services/simulation/cloth.hpp"
 #include "services/simulation/handle_watch.hpp"
 #include "services/simulation/obstacles.hpp"
@@ -215,15 +216,6 @@ Points initial_positions(const Scene& scene, const Topology& garment) {
   return points;
 }
 
-// Moves the rest positions along their normals to where others are. Loop's rule also slides vertices across the surface
-// where a mesh is irregular, away from their material coordinates: a flat sheet would start stretched (the tablecloth
-// by 0.56 to 1.68 times), and the surface would be the same.
-void move_along_normals(Topology& mesh, const Positions& towards) {
-  const Positions normals = vertex_normals(mesh.rest_positions, mesh.faces);
-  const Eigen::VectorXf moves = (towards - mesh.rest_positions).cwiseProduct(normals).rowwise().sum();
-  mesh.rest_positions += moves.asDiagonal() * normals;
-}
-
 Points to_points(const Positions& positions) {
   Points points(static_cast<std::size_t>(positions.rows()));
   for (std::size_t v = 0; v < points.size(); ++v)
@@ -273,18 +265,14 @@ struct Simulation::State {
 
   State(Scene s, Mode m)
       : scene((validate_scene(s), std::move(s))), mode(m), pool(static_cast<std::size_t>(scene.threads)) {
-    const bool smooth = scene.subdivision_rule == SubdivisionRule::kLoop;
+    const bool smooth = scene.subdivision_rule == SubdivisionRule::kSmooth;
     if (smooth && mode == Mode::kTrackedFine) {
       throw_invalid_argument("scene '" + scene.name +
                              "': Loop's subdivision is for a free fine simulation, a tracked " +
                              "one starts from the coarse shape");
     }
     garment = scaled(scene.garment, scene.transform.scale);
-    subdivision = subdivide(garment, scene.subdivision_rounds);
-    if (smooth) {
-      const Subdivision loop = subdivide(garment, scene.subdivision_rounds, SubdivisionRule::kLoop);
-      move_along_normals(subdivision.fine, loop.fine.rest_positions);
-    }
+    subdivision = subdivide(garment, scene.subdivision_rounds, scene.subdivision_rule);
     const Points initial = initial_positions(scene, garment);
     std::vector<std::vector<std::uint32_t>> coarse_handles, fine_handles;
     for (const Handle& handle : scene.handles) {
@@ -325,11 +313,7 @@ struct Simulation::State {
     frame.index = next;
     frame.time_s = frame_time(next);
     frame.positions = to_positions(cloth.positions());
-    if (next == 0) {
-      frame.velocities = Positions::Zero(frame.positions.rows(), 3);
-    } else {
-      frame.velocities = (frame.positions - last) / static_cast<float>(scene.frame_time_s);
-    }
+    frame.velocities = backward_velocities(frame.positions, next == 0 ? Positions() : last, scene.frame_time_s);
     last = frame.positions;
     return frame;
   }

@@ -68,7 +68,7 @@ struct Batcher::State {
     for (std::size_t i = 0; i < batch.size(); ++i) {
       Tensor result;
       result.shape = {channels, first.shape[1] * kScale, first.shape[2] * kScale};
-      const auto& names = batch[i].image.channels;
+      const auto& names = state_->engine->describe().channels;
       result.channels.assign(names.begin(), names.begin() + channels);
       result.values = std::move(results[i]);
       batch[i].answer.set_value(std::move(result));
@@ -100,7 +100,8 @@ Batcher::~Batcher() {
 }
 
 std::future<Tensor> Batcher::submit(Tensor image, int channels) {
-  if (image.shape.size() != 3 || image.shape[0] != kChannels || image.channels != state_->engine->describe().channels) {
+  if (image.shape.size() != 3 || image.shape[0] != kChannels ||
+      (!image.channels.empty() && image.channels != state_->engine->describe().channels)) {
     throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
   }
   State::Request request{std::move(image), channels, {}};

@@ -297,7 +297,8 @@ std::vector<float> Engine::upscale(std::span<const float> image, int height, int
 }
 
 Tensor Engine::upscale(const Tensor& image, int channels) {
-  if (image.shape.size() != 3 || image.shape[0] != kChannels || image.channels != state_->metadata.channels) {
+  if (image.shape.size() != 3 || image.shape[0] != kChannels ||
+      (!image.channels.empty() && image.channels != state_->metadata.channels)) {
     throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
   }
   if (image.shape[1] < 1 || image.shape[1] > 8192 || image.shape[2] < 1 || image.shape[2] > 8192) {
@@ -306,7 +307,7 @@ Tensor Engine::upscale(const Tensor& image, int channels) {
   Tensor result;
   result.values = upscale(image.values, static_cast<int>(image.shape[1]), static_cast<int>(image.shape[2]), channels);
   result.shape = {channels, image.shape[1] * kScale, image.shape[2] * kScale};
-  result.channels.assign(image.channels.begin(), image.channels.begin() + channels);
+  result.channels.assign(state_->metadata.channels.begin(), state_->metadata.channels.begin() + channels);
   return result;
 }
 

@@ -9,15 +9,16 @@ namespace {
 
 void run(const std::vector<pleat::v1::ToImageRequest>& messages) {
   pleat::fuzz::run_session(messages, [](const auto& open, const auto& for_frames) {
-    pleat::conversion::MapCache cache(0);
+    pleat::conversion::RepresentationCache cache(0);
     pleat::conversion::Session session(open.setup(), pleat::fuzz::conversion_limits(), cache);
     pleat::v1::ConversionOpened opened;
     session.describe(true, &opened);
-    for_frames([&](const pleat::v1::Frame& frame) {
+    for_frames([&](const pleat::v1::ToImageRequest& request) {
       pleat::v1::ImageFrame image;
-      session.to_image(frame, &image);
-      const auto texels = static_cast<std::int64_t>(opened.coarse_width()) * opened.coarse_height();
-      if (image.image().values_size() != 9 * texels) std::abort();
+      session.encode(request, &image);
+      std::size_t values = static_cast<std::size_t>(request.earlier_size()) + 1;
+      for (const std::uint32_t extent : opened.input_shape()) values *= extent;
+      if (image.image().data().size() != sizeof(float) * values) std::abort();
     });
   });
 }

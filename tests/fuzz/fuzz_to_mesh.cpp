@@ -10,13 +10,13 @@ namespace {
 
 void run(const std::vector<pleat::v1::ToMeshRequest>& messages) {
   pleat::fuzz::run_session(messages, [](const auto& open, const auto& for_frames) {
-    pleat::conversion::MapCache cache(0);
+    pleat::conversion::RepresentationCache cache(0);
     pleat::conversion::Session session(open.setup(), pleat::fuzz::conversion_limits(), cache);
     pleat::v1::ConversionOpened opened;
     session.describe(true, &opened);
     for_frames([&](const pleat::v1::ImageFrame& image) {
       pleat::v1::MeshFrame mesh;
-      session.to_mesh(image, &mesh);
+      session.decode(image, &mesh);
       if (mesh.fine().positions_size() != opened.fine().rest_positions_size()) std::abort();
       for (const float x : mesh.fine().positions()) {
         if (!std::isfinite(x)) std::abort();

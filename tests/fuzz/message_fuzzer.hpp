@@ -11,6 +11,7 @@
 #include <limits>
 #include <random>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -230,15 +231,19 @@ std::string mutated(const std::uint8_t* data, std::size_t size, std::size_t max_
 }
 
 /// A session as a service runs it: serve(open, for_frames) opens it with the first message and calls
-/// for_frames(process), which calls process(frame) for the others. An Error is an answer: to `open` it ends the
-/// session, to a frame it does not.
+/// for_frames(process), which calls process(message) or process(frame) for the others. An Error is an answer: to `open`
+/// it ends the session, to a frame it does not.
 template <typename Request, typename Serve>
 void run_session(const std::vector<Request>& messages, const Serve& serve) {
   if (messages.empty()) return;
   const auto for_frames = [&](const auto& process) {
     for (std::size_t i = 1; i < messages.size(); ++i) {
       try {
-        process(messages[i].frame());
+        if constexpr (std::is_invocable_v<decltype(process), const Request&>) {
+          process(messages[i]);
+        } else {
+          process(messages[i].frame());
+        }
       } catch (const Error&) {
       }
     }

@@ -4,6 +4,7 @@
 #include <cstring>
 #include <stdexcept>
 #include <thread>
+#include <type_traits>
 #include <utility>
 
 #include "common/rpc/channel.hpp"
@@ -17,6 +18,7 @@ namespace pleat::testing {
 namespace {
 
 constexpr float kVelocityFactor = 0.01F;
+constexpr float kEarlierFactor = 0.125F;
 constexpr float kRefinementOffset = 0.001F;
 
 Topology from_wire(const v1::Topology& message) {
@@ -40,6 +42,16 @@ void add_time(google::protobuf::RepeatedPtrField<v1::StageTime>* times, const ch
   time.set_ms(ms);
 }
 
+/// What earlier frames add to the newest, each with a weight of its own.
+template <typename Frames>
+void add_earlier(const Frames& earlier, google::protobuf::RepeatedField<float>* positions) {
+  float weight = 0;
+  for (const v1::Frame& frame : earlier) {
+    weight += kEarlierFactor;
+    for (int i = 0; i < positions->size(); ++i) *positions->Mutable(i) += weight * frame.positions(i);
+  }
+}
+
 /// The stream of a stage: one answer per frame, with the faults in between.
 template <typename Response, typename Request, typename Open, typename Process>
 grpc::Status serve(FakeService& fake, grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
@@ -60,6 +72,13 @@ grpc::Status serve(FakeService& fake, grpc::ServerContext* context, grpc::Server
     const std::uint64_t index = rpc::frame_index(request.frame());
     std::this_thread::sleep_for(fake.faults.delay());
     response.Clear();
+    const auto answer = [&](std::uint64_t as) {
+      if constexpr (std::is_invocable_v<Process, const Request&, std::uint64_t, decltype(*response.mutable_frame())>) {
+        process(request, as, *response.mutable_frame());
+      } else {
+        process(request.frame(), as, *response.mutable_frame());
+      }
+    };
     switch (fake.faults.next(index)) {
       case Faults::Kind::kBreak:
         return grpc::Status(grpc::StatusCode::UNAVAILABLE, "a fault, on purpose");
@@ -72,16 +91,16 @@ grpc::Status serve(FakeService& fake, grpc::ServerContext* context, grpc::Server
         response.mutable_error()->set_message("a bad frame, on purpose");
         break;
       case Faults::Kind::kWrongIndex:
-        process(request.frame(), index + 1000, *response.mutable_frame());
+        answer(index + 1000);
         break;
       case Faults::Kind::kWrongSize:
-        process(request.frame(), index, *response.mutable_frame());
+        answer(index);
         if constexpr (requires { response.mutable_frame()->mutable_fine(); }) {
           response.mutable_frame()->mutable_fine()->mutable_positions()->Truncate(3);
         }
         break;
       case Faults::Kind::kNone:
-        process(request.frame(), index, *response.mutable_frame());
+        answer(index);
         break;
     }
     if (!stream->Write(response)) break;
@@ -173,15 +192,25 @@ class FakeConversion final : public FakeService, public v1::Conversion::Service 
  public:
   explicit FakeConversion(std::string address) : FakeService(std::move(address)) {}
 
+  grpc::Status Describe(grpc::ServerContext*, const v1::ConversionSetup* setup,
+                        v1::ConversionOpened* opened_message) override {
+    const Subdivision subdivision = fine_of(*setup);
+    *opened_message->mutable_fine() = to_wire(subdivision.fine);
+    opened_message->mutable_fine()->set_hash(topology_hash(subdivision.fine));
+    return grpc::Status::OK;
+  }
+
   grpc::Status ToImage(grpc::ServerContext* context,
                        grpc::ServerReaderWriter<v1::ToImageResponse, v1::ToImageRequest>* stream) override {
     return serve(
         *this, context, stream, [](const v1::ToImageOpen&, v1::ConversionOpened&) {},
-        [](const v1::Frame& frame, std::uint64_t index, v1::ImageFrame& image) {
+        [](const v1::ToImageRequest& request, std::uint64_t index, v1::ImageFrame& image) {
+          const v1::Frame& frame = request.frame();
           image.set_index(index);
           image.set_time_s(frame.time_s());
           auto* values = image.mutable_image()->mutable_values();
           *values = frame.positions();
+          add_earlier(request.earlier(), values);
           values->MergeFrom(frame.velocities());
           image.mutable_image()->add_shape(static_cast<std::uint32_t>(values->size()));
           for (int axis = 0; axis < 3; ++axis) image.mutable_alignment()->add_translation(frame.positions(0));
@@ -197,7 +226,7 @@ class FakeConversion final : public FakeService, public v1::Conversion::Service 
         *this, context, stream,
         [&](const v1::ToMeshOpen& open, v1::ConversionOpened& opened_message) {
           coarse = from_wire(open.setup().coarse());
-          subdivision = subdivide(coarse, static_cast<int>(open.setup().subdivision_rounds()));
+          subdivision = fine_of(open.setup());
           opened_message.mutable_fine()->set_hash(topology_hash(subdivision.fine));
         },
         [&](const v1::ImageFrame& image, std::uint64_t index, v1::MeshFrame& mesh) {
@@ -215,6 +244,12 @@ class FakeConversion final : public FakeService, public v1::Conversion::Service 
   }
 
  private:
+  static Subdivision fine_of(const v1::ConversionSetup& setup) {
+    const v1::Representation& r = setup.representation();
+    return subdivide(from_wire(setup.coarse()),
+                     r.has_subdivision_rounds() ? static_cast<int>(r.subdivision_rounds()) : kDefaultSubdivisionRounds);
+  }
+
   std::vector<grpc::Service*> services() override { return {static_cast<v1::Conversion::Service*>(this)}; }
 };
 
@@ -434,8 +469,10 @@ v1::Frame fake_coarse_frame(const Topology& coarse, std::uint64_t index, double 
 }
 
 Positions fake_enhanced(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,
-                        bool refined) {
-  Positions positions = Eigen::Map<const Positions>(coarse.positions().data(), coarse.positions_size() / 3, 3);
+                        bool refined, const std::vector<v1::Frame>& earlier) {
+  auto values = coarse.positions();
+  add_earlier(earlier, &values);
+  Positions positions = Eigen::Map<const Positions>(values.data(), values.size() / 3, 3);
   for (Eigen::Index i = 0; i < positions.size(); ++i) {
     positions.data()[i] = positions.data()[i] + kVelocityFactor * coarse.velocities(static_cast<int>(i));
   }

@@ -123,8 +123,8 @@ v1::Scene fake_scene(std::uint32_t frames, const std::string& name = "fake");
 
 /// Frame k of the fake simulation, with velocities.
 v1::Frame fake_coarse_frame(const Topology& coarse, std::uint64_t index, double frame_time_s = 0.04);
-/// What the fake stages make of a coarse frame.
+/// What the fake stages make of a coarse frame. earlier: the window before it, the oldest first.
 Positions fake_enhanced(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,
-                        bool refined = true);
+                        bool refined = true, const std::vector<v1::Frame>& earlier = {});
 
 }  // namespace pleat::testing

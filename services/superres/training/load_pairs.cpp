@@ -11,10 +11,11 @@
 #include "common/base/error.hpp"
 #include "common/base/hash.hpp"
 #include "common/base/parallel.hpp"
+#include "common/features/frame_features.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
-#include "services/conversion/image_map.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
 #include "services/superres/training/make_mesh_base.hpp"
 #include "services/superres/training/pair_file.hpp"
 #include "services/superres/training/pairs.hpp"
@@ -38,16 +39,12 @@ ImageSpec make_spec(const ImagesConfig& config) {
   return spec;
 }
 
-/// Backward differences; `previous` is the frame before positions[0], or empty at the beginning of a sequence.
+/// `previous` is the frame before positions[0], or empty at the beginning of a sequence.
 Frame make_frame(const std::vector<Positions>& positions, std::size_t index, const Positions& previous,
                  double frame_time_s) {
   Frame frame;
   frame.positions = positions[index];
-  const Positions& before = index > 0 ? positions[index - 1] : previous;
-  frame.velocities = Positions::Zero(frame.positions.rows(), 3);
-  if (before.rows() == frame.positions.rows()) {
-    frame.velocities = (frame.positions - before) / static_cast<float>(frame_time_s);
-  }
+  frame.velocities = backward_velocities(frame.positions, index > 0 ? positions[index - 1] : previous, frame_time_s);
   return frame;
 }
 
@@ -214,7 +211,7 @@ MeshRead make_mesh_read(const VertexReads& reads, const Topology& fine) {
   for (std::size_t v = 0; v < vertices; ++v) {
     for (std::size_t i = reads.offsets[v]; i < reads.offsets[v + 1]; ++i) {
       const std::size_t place = (i - reads.offsets[v]) * vertices + v;
-      result.texels[place] = reads.texels[i];
+      result.texels[place] = reads.places[i];
       result.weights[place] = reads.weights[i];
     }
   }
@@ -337,8 +334,10 @@ LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const
                          {"lambda", config.images.lambda}}
                         .dump();
   if (master.normalization) {
-    data.normalization.minimum = master.normalization->minimum;
-    data.normalization.maximum = master.normalization->maximum;
+    for (std::size_t c = 0; c < kChannels; ++c) {
+      data.normalization.minimum[c] = master.normalization->offset[c];
+      data.normalization.maximum[c] = master.normalization->offset[c] + master.normalization->scale[c];
+    }
   } else {
     data.normalization.minimum.fill(std::numeric_limits<float>::infinity());
     data.normalization.maximum.fill(-std::numeric_limits<float>::infinity());

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "common/store/dataset.hpp"
-#include "services/conversion/image_map.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
 #include "services/superres/mesh_base.hpp"
 
 namespace pleat::superres {

@@ -219,6 +219,39 @@ TEST(Messages, HalfPrecisionTensors) {
   expect_refused([&] { from_message(message); }, "tensor.data");
 }
 
+TEST(Messages, PayloadsOfEveryType) {
+  const Tensor tensor{{2, 1, 3}, {"a", "b"}, {1, -2, 3.5f, 0, 5, 6.25f}};
+  Tensor back;
+  for (const auto dtype : {v1::Tensor::DTYPE_FLOAT32, v1::Tensor::DTYPE_FLOAT16, v1::Tensor::DTYPE_BFLOAT16}) {
+    v1::Tensor message;
+    to_payload(tensor, dtype, &message);
+    EXPECT_EQ(message.values_size(), 0);
+    EXPECT_EQ(message.data().size(), 6 * (dtype == v1::Tensor::DTYPE_FLOAT32 ? 4u : 2u));
+    from_payload(message, "payload", &back);
+    EXPECT_EQ(back.shape, tensor.shape);
+    EXPECT_EQ(back.values, tensor.values);
+    EXPECT_EQ(from_message(message).values, tensor.values);
+    message.mutable_data()->pop_back();
+    expect_refused([&] { from_payload(message, "payload", &back); }, "payload.data");
+  }
+  from_payload(to_message(tensor), "payload", &back);
+  EXPECT_EQ(back.values, tensor.values);
+  // Both forms at once are none.
+  v1::Tensor message = to_message(tensor);
+  message.set_data(std::string(24, 'x'));
+  expect_refused([&] { from_payload(message, "payload", &back); }, "payload.data");
+}
+
+TEST(Messages, Bfloat16RoundsToTheNearest) {
+  v1::Tensor message;
+  Tensor back;
+  to_payload({{3}, {}, {1.00390625f, 1.01171875f, -3.0e38f}}, v1::Tensor::DTYPE_BFLOAT16, &message);  // ties to even
+  from_payload(message, "payload", &back);
+  EXPECT_EQ(back.values[0], 1.0f);
+  EXPECT_EQ(back.values[1], 1.015625f);
+  EXPECT_NEAR(back.values[2], -3.0e38f, 1e36f);
+}
+
 TEST(Messages, TensorIsChecked) {
   const v1::Tensor good = to_message(Tensor{{2, 2}, {"a", "b"}, {1, 2, 3, 4}});
   v1::Tensor bad = good;

@@ -50,6 +50,37 @@ TEST(Subdivision, KeepsTheSurface) {
   }
 }
 
+TEST(Subdivision, IsFoundAgain) {
+  // Of a curved mesh: on a flat one the smooth rule gives the middle.
+  const Topology coarse = garment("skirt");
+  for (const SubdivisionRule rule : {SubdivisionRule::kMidpoint, SubdivisionRule::kSmooth, SubdivisionRule::kLoop}) {
+    const SubdivisionSpec spec{1, rule};
+    Topology fine = subdivide(coarse, spec).fine;
+    EXPECT_EQ(find_subdivision(coarse, fine), spec);
+    fine.rest_positions(5, 1) += 1e-3f;
+    EXPECT_EQ(find_subdivision(coarse, fine), std::nullopt);
+  }
+  EXPECT_EQ(find_subdivision(coarse, subdivide(coarse, 2).fine), SubdivisionSpec{2});
+  EXPECT_EQ(find_subdivision(coarse, garment("tablecloth")), std::nullopt);
+  EXPECT_THROW(subdivide(coarse, SubdivisionSpec{kMaxSubdivisionRounds + 1}), Error);
+}
+
+TEST(Subdivision, SmoothVerticesStayAboveTheMiddle) {
+  for (const char* name : {"tablecloth", "skirt"}) {
+    const Topology coarse = garment(name);
+    const Topology middle = subdivide(coarse, 2).fine, smooth = subdivide(coarse, 2, SubdivisionRule::kSmooth).fine;
+    EXPECT_EQ(smooth.faces, middle.faces);
+    const Positions normals = vertex_normals(middle.rest_positions, middle.faces);
+    const Positions moves = smooth.rest_positions - middle.rest_positions;
+    for (Eigen::Index v = 0; v < moves.rows(); ++v) {
+      const Eigen::RowVector3f across = moves.row(v) - moves.row(v).dot(normals.row(v)) * normals.row(v);
+      EXPECT_LT(across.norm(), 1e-6f);
+    }
+    // A flat sheet stays one.
+    EXPECT_EQ(moves.norm() < 1e-5f, std::string(name) == "tablecloth");
+  }
+}
+
 TEST(Subdivision, UpsamplingReproducesTheRestShape) {
   const Topology coarse = garment("skirt");
   const Subdivision s = subdivide(coarse, 2);

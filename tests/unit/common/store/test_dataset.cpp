@@ -26,9 +26,9 @@ class Dataset : public ::testing::Test {
 
 TEST_F(Dataset, ReadsWhatWasWritten) {
   DatasetMaster master = sample_master(meshes, {"b", "a", "planned"});
-  master.normalization.emplace();
-  master.normalization->minimum[8] = -3;
-  master.normalization->maximum[0] = 2;
+  master.normalization = ChannelRanges{std::vector<float>(9, 0), std::vector<float>(9, 1)};
+  master.normalization->offset[8] = -3;
+  master.normalization->scale[0] = 2;
   write_dataset_master(folder.path(), master);
   write_sequence("a", 5, false);
   write_sequence("b", 3, true);
@@ -42,8 +42,7 @@ TEST_F(Dataset, ReadsWhatWasWritten) {
   EXPECT_EQ(topology_hash(reader.topology().fine), topology_hash(meshes.fine));
   EXPECT_EQ(reader.topology().feature_vertices, meshes.feature_vertices);
   ASSERT_TRUE(reader.master().normalization.has_value());
-  EXPECT_EQ(reader.master().normalization->minimum[8], -3);
-  EXPECT_EQ(reader.master().normalization->maximum[0], 2);
+  EXPECT_EQ(*reader.master().normalization, *master.normalization);
 
   const auto infos = reader.sequences();
   ASSERT_EQ(infos.size(), 2u);
@@ -213,7 +212,7 @@ TEST_F(Dataset, DoesNotFollowLinksOutOfAFile) {
 TEST_F(Dataset, OpensInH5py) {
   if (std::system("/usr/bin/python3 -c 'import h5py' 2>/dev/null") != 0) GTEST_SKIP() << "no h5py";
   DatasetMaster master = sample_master(meshes, {"a"});
-  master.normalization.emplace();
+  master.normalization = ChannelRanges{std::vector<float>(9, 0), std::vector<float>(9, 1)};
   write_dataset_master(folder.path(), master);
   write_sequence("a", 4, true);
   const std::string script = R"(

@@ -1,8 +1,8 @@
 // The hot path of conversion takes no memory once it has run.
 #include <gtest/gtest.h>
 
-#include "services/conversion/image_map.hpp"
-#include "services/conversion/normalization.hpp"
+#include "common/features/channel_ranges.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
 #include "tests/support/allocation_counter.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
@@ -17,15 +17,19 @@ TEST(HotPath, BothDirectionsTakeNoMemory) {
   const Tensor fine_image = map.fine_image(fine, map.align(coarse.positions));
   Tensor image;
   Positions positions;
-  Normalization range;
+  ChannelRanges range;
   std::size_t before = 0;
   for (int run = 0; run < 3; ++run) {
     if (run == 1) before = test::allocations;
     const RigidTransform transform = map.align(coarse.positions);
     map.coarse_image(coarse, transform, image);
-    if (run == 0) extend_normalization(range, image);
-    normalize(image, range);
-    denormalize(image, range);
+    if (run == 0) {
+      RangeMeasure measure(kFrameChannels);
+      measure.add(image);
+      range = measure.extremes();
+    }
+    normalize(range, image);
+    denormalize(range, image);
     map.to_mesh(fine_image, transform, positions);
   }
   EXPECT_EQ(test::allocations - before, 0u);

@@ -1,7 +1,7 @@
 // Mesh to fine image and back: the errors of docs/conversion.md, with room for other wrinkles.
 #include <gtest/gtest.h>
 
-#include "services/conversion/image_map.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
 #include "services/conversion/rigid_alignment.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 

@@ -7,11 +7,12 @@
 #include <memory>
 
 #include "common/base/error.hpp"
+#include "common/features/channel_ranges.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/server.hpp"
 #include "common/rpc/stream.hpp"
-#include "services/conversion/image_map.hpp"
-#include "services/conversion/normalization.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
+#include "services/conversion/spec_messages.hpp"
 #include "tests/support/temporary_folder.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
@@ -20,6 +21,12 @@ namespace {
 
 using ImageStream = rpc::FrameStream<v1::ToImageRequest, v1::ToImageResponse>;
 using MeshStream = rpc::FrameStream<v1::ToMeshRequest, v1::ToMeshResponse>;
+
+ChannelRanges range_of(const Tensor& image) {
+  RangeMeasure measure(static_cast<std::size_t>(image.shape[0]));
+  measure.add(image);
+  return measure.extremes();
+}
 
 class ConversionServer : public testing::Test {
  protected:
@@ -46,6 +53,18 @@ class ConversionServer : public testing::Test {
     v1::ToImageRequest request;
     *request.mutable_open()->mutable_setup() = setup_;
     return request;
+  }
+  /// Normalises `image` as the service is asked to. Returns how many values are outside.
+  std::size_t set_normalization(const ChannelRanges& range, Tensor& image) {
+    for (std::size_t c = 0; c < range.channels(); ++c) {
+      setup_.mutable_normalization()->add_minimum(range.offset[c]);
+      setup_.mutable_normalization()->add_maximum(range.offset[c] + range.scale[c]);
+    }
+    ChannelRanges sent = range;
+    for (std::size_t c = 0; c < range.channels(); ++c) {
+      sent.scale[c] = (range.offset[c] + range.scale[c]) - range.offset[c];
+    }
+    return normalize(sent, image);
   }
   v1::ToMeshRequest mesh_open() const {
     v1::ToMeshRequest request;
@@ -80,15 +99,10 @@ TEST_F(ConversionServer, ImagesAreThoseOfTheLibraryAndNormalised) {
   frame.index = 7;
   frame.time_s = 0.28;
   CoarseImage expected = map.coarse_image(frame);
-  Normalization range;
-  extend_normalization(range, expected.image);
-  range.maximum[0] -= 0.25f * (range.maximum[0] - range.minimum[0]);  // so that some values are outside
-  const std::size_t outside = normalize(expected.image, range);
+  ChannelRanges range = range_of(expected.image);
+  range.scale[0] *= 0.75f;  // so that some values are outside
+  const std::size_t outside = set_normalization(range, expected.image);
   ASSERT_GT(outside, 0u);
-  for (std::size_t c = 0; c < 9; ++c) {
-    setup_.mutable_normalization()->add_minimum(range.minimum[c]);
-    setup_.mutable_normalization()->add_maximum(range.maximum[c]);
-  }
 
   const auto stream = image_stream();
   const auto opened = stream->open(image_open());
@@ -140,13 +154,7 @@ TEST_F(ConversionServer, AFittedImageComesBackAsTheMesh) {
   const Frame coarse = test::wrinkled_frame(garment_.coarse, 0.4f), fine = test::wrinkled_frame(garment_.fine(), 0.4f);
   const RigidTransform transform = map.align(coarse.positions);
   Tensor image = map.fine_image(fine, transform);
-  Normalization range;
-  extend_normalization(range, image);
-  normalize(image, range);
-  for (std::size_t c = 0; c < 9; ++c) {
-    setup_.mutable_normalization()->add_minimum(range.minimum[c]);
-    setup_.mutable_normalization()->add_maximum(range.maximum[c]);
-  }
+  set_normalization(range_of(image), image);
   const auto stream = mesh_stream();
   const auto opened = stream->open(mesh_open());
   EXPECT_EQ(topology_hash(from_message(opened.fine())), topology_hash(garment_.fine()));
@@ -205,6 +213,90 @@ TEST_F(ConversionServer, ABadFrameIsAnsweredAndTheStreamGoesOn) {
   ASSERT_TRUE(meshes->pop(&answer));
   ASSERT_TRUE(answer.has_error());
   EXPECT_EQ(answer.error().index(), 5u);
+}
+
+// The whole way of a frame with the detail layout: described, encoded, answered as it should be, decoded.
+TEST_F(ConversionServer, DetailComesBackAsTheMesh) {
+  v1::Representation& wanted = *setup_.mutable_representation();
+  wanted.mutable_geometry_image()->set_layout(v1::GeometryImage::LAYOUT_DETAIL);
+  wanted.set_subdivision_rounds(1);
+  wanted.set_subdivision_rule(v1::SUBDIVISION_RULE_LOOP);
+  for (int c = 0; c < 3; ++c) {
+    wanted.mutable_output()->add_offset(0.001f);
+    wanted.mutable_output()->add_scale(0.02f);
+  }
+  grpc::ClientContext context;
+  v1::ConversionOpened described;
+  ASSERT_TRUE(stub_->Describe(&context, setup_, &described).ok());
+  const Topology fine_mesh = from_message(described.fine());
+  EXPECT_EQ(topology_hash(fine_mesh), topology_hash(subdivide(garment_.coarse, 1, SubdivisionRule::kSmooth).fine));
+  EXPECT_EQ(described.input_shape(0), 17u);
+  EXPECT_EQ(described.answer_shape(0), 3u);
+  EXPECT_EQ(described.constants().shape(0), 32u);
+  EXPECT_EQ(described.dtype(), v1::Tensor::DTYPE_FLOAT16);
+
+  const Frame coarse = test::wrinkled_frame(garment_.coarse, 0.4f), fine = test::wrinkled_frame(fine_mesh, 0.4f);
+  v1::ToImageRequest open = image_open(), request;
+  open.mutable_open()->set_dtype(v1::Tensor::DTYPE_FLOAT16);
+  const auto images = image_stream();
+  images->open(open);
+  *request.mutable_frame() = to_message(coarse);
+  images->push(request);
+  v1::ToImageResponse encoded;
+  ASSERT_TRUE(images->pop(&encoded));
+  ASSERT_TRUE(encoded.has_frame());
+  RepresentationSpec spec = spec_from(wanted, 4'000'000);
+  const auto library = make_representation(garment_.coarse, spec);
+  const RigidTransform alignment = library->align(coarse.positions);
+  Tensor expected;
+  library->encode(std::span(&coarse, 1), alignment, expected);
+  const Tensor input = from_message(encoded.frame().image());
+  ASSERT_EQ(input.values.size(), expected.values.size());
+  for (std::size_t i = 0; i < input.values.size(); ++i) {
+    ASSERT_NEAR(input.values[i], expected.values[i], 1e-6f + 1e-3f * std::abs(expected.values[i]));
+  }
+
+  Tensor answer;
+  library->target(coarse, fine, alignment, answer);
+  normalize(ranges_from(wanted.output(), 3, "output"), answer);
+  v1::ToMeshRequest back;
+  *back.mutable_frame()->mutable_alignment() = encoded.frame().alignment();
+  *back.mutable_frame()->mutable_coarse() = request.frame();
+  to_payload(answer, v1::Tensor::DTYPE_FLOAT16, back.mutable_frame()->mutable_image());
+  const auto meshes = mesh_stream();
+  meshes->open(mesh_open());
+  meshes->push(back);
+  v1::ToMeshResponse decoded;
+  ASSERT_TRUE(meshes->pop(&decoded));
+  ASSERT_TRUE(decoded.has_frame()) << decoded.error().message();
+  EXPECT_LT(test::rms(positions_from_message(decoded.frame().fine()), fine.positions), 2e-5);
+  // Without its coarse frame an answer means nothing.
+  back.mutable_frame()->clear_coarse();
+  meshes->push(back);
+  ASSERT_TRUE(meshes->pop(&decoded));
+  EXPECT_TRUE(decoded.has_error());
+}
+
+TEST_F(ConversionServer, AWindowNeedsItsFrames) {
+  setup_.mutable_representation()->mutable_geometry_image();
+  setup_.mutable_representation()->set_window(2);
+  const auto stream = image_stream();
+  stream->open(image_open());
+  v1::ToImageRequest request;
+  v1::ToImageResponse response;
+  *request.mutable_frame() = to_message(test::wrinkled_frame(garment_.coarse, 0.4f));
+  stream->push(request);
+  ASSERT_TRUE(stream->pop(&response));
+  EXPECT_TRUE(response.has_error());
+  *request.add_earlier() = to_message(test::wrinkled_frame(garment_.coarse, 0.3f));
+  stream->push(request);
+  ASSERT_TRUE(stream->pop(&response));
+  ASSERT_TRUE(response.has_frame());
+  EXPECT_EQ(response.frame().image().shape(0), 18u);
+  expect_refused(ErrorCode::kInvalidArgument,
+                 [](v1::ConversionSetup& s) { s.mutable_representation()->set_window(17); });
+  expect_refused(ErrorCode::kInvalidArgument,
+                 [](v1::ConversionSetup& s) { s.mutable_representation()->mutable_vertex_features(); });
 }
 
 TEST_F(ConversionServer, BadSetupsAreRefused) {

@@ -5,6 +5,7 @@
 #include <thread>
 
 #include "common/frame/messages.hpp"
+#include "common/frame/representation_messages.hpp"
 #include "common/rpc/channel.hpp"
 #include "services/coordinator/pipeline.hpp"
 #include "tests/support/errors.hpp"
@@ -57,6 +58,15 @@ class PipelineTest : public ::testing::Test {
     return made;
   }
 
+  /// The window before a frame: the first frame stands for those before it.
+  std::vector<v1::Frame> earlier_of(std::uint64_t index) const {
+    std::vector<v1::Frame> earlier;
+    for (std::uint64_t back = std::max(1U, session_.representation.window()) - 1; back > 0; --back) {
+      earlier.push_back(testing::fake_coarse_frame(coarse_, index - std::min(index, back)));
+    }
+    return earlier;
+  }
+
   /// Sends frames and waits for all of them.
   void run(std::uint64_t frames) {
     const auto pipeline = make();
@@ -75,8 +85,9 @@ class PipelineTest : public ::testing::Test {
         continue;
       }
       ASSERT_FALSE(out_[i]->error.has_value()) << i << ": " << out_[i]->error->message();
-      const Positions expected = testing::fake_enhanced(
-          subdivision_, coarse_.faces, testing::fake_coarse_frame(coarse_, i), !session_.skip_refinement);
+      const Positions expected =
+          testing::fake_enhanced(subdivision_, coarse_.faces, testing::fake_coarse_frame(coarse_, i),
+                                 !session_.skip_refinement, earlier_of(i));
       ASSERT_EQ(positions_from_message(out_[i]->fine), expected) << i;
     }
   }
@@ -98,6 +109,42 @@ TEST_F(PipelineTest, FramesPassEveryStageInOrder) {
   EXPECT_EQ(stages, "to_image superres to_mesh refinement ");
   EXPECT_EQ(out_[7]->report.self_intersections_before(), 2U);
   for (const auto* fake : fakes_.all()) EXPECT_EQ(fake->sessions, 0) << fake->address();
+}
+
+TEST_F(PipelineTest, AWindowOfFramesSurvivesFaults) {
+  session_.representation.set_window(3);
+  fakes_.conversion().faults.at(4, Faults::Kind::kBreak);
+  fakes_.superres().faults.at(6, Faults::Kind::kBreak, 2);
+  run(12);
+  expect_right(12);
+}
+
+TEST_F(PipelineTest, AWindowGoesOnBehindTheFramesOnDisk) {
+  session_.representation.set_window(3);
+  session_.first_sequence = 5;
+  session_.earlier = {testing::fake_coarse_frame(coarse_, 3), testing::fake_coarse_frame(coarse_, 4)};
+  const auto pipeline = make();
+  for (std::uint64_t i = 5; i < 9; ++i) ASSERT_TRUE(pipeline->push(frame(i)));
+  pipeline->close();
+  pipeline->wait();
+  ASSERT_EQ(out_.size(), 4U);
+  for (std::uint64_t i = 5; i < 9; ++i) {
+    EXPECT_EQ(positions_from_message(out_[i - 5]->fine),
+              testing::fake_enhanced(subdivision_, coarse_.faces, testing::fake_coarse_frame(coarse_, i), true,
+                                     earlier_of(i)));
+  }
+}
+
+TEST_F(PipelineTest, ConversionSaysWhatASessionGets) {
+  session_.representation = representation_of(session_.model);
+  session_.representation.set_subdivision_rounds(1);
+  EXPECT_EQ(session_.representation.geometry_image().scale(), 4U);
+  session_.conversion = describe_conversion(addresses_, fast_link(), session_, [] { return false; });
+  EXPECT_EQ(subdivision_of(session_, coarse_).fine.vertex_count(), subdivide(coarse_, 1).fine.vertex_count());
+  session_.representation.set_subdivision_rounds(2);
+  EXPECT_EQ(error_of([&] { subdivision_of(session_, coarse_); }).code(), ErrorCode::kInternal);
+  session_.representation.set_subdivision_rounds(77);
+  EXPECT_EQ(error_of([&] { subdivision_of(session_, coarse_); }).code(), ErrorCode::kInvalidArgument);
 }
 
 TEST_F(PipelineTest, AnEmptySessionEndsWell) {

@@ -203,14 +203,14 @@ TEST_F(SmallSet, MakesWhatWasPlanned) {
     const float start = reader.fine(info.name, 0, 1)[0].col(1).mean();
     EXPECT_LT(reader.fine(info.name, 4, 5)[0].col(1).mean(), start - 0.01f);
   }
-  const FeatureRange tight = measure_range(reader, 0);
+  const ChannelRanges tight = measure_range(reader, 0);
   for (std::size_t c = 0; c < 9; ++c) {
-    EXPECT_LT(reader.master().normalization->minimum[c], tight.minimum[c]);
-    EXPECT_GT(reader.master().normalization->maximum[c], tight.maximum[c]);
+    EXPECT_LT(reader.master().normalization->offset[c], tight.offset[c]);
+    EXPECT_GT(reader.master().normalization->scale[c], tight.scale[c]);
   }
   for (std::size_t c = 3; c < 6; ++c) {
-    EXPECT_GE(tight.minimum[c], -1.0001f);
-    EXPECT_LE(tight.maximum[c], 1.0001f);
+    EXPECT_GE(tight.offset[c], -1.0001f);
+    EXPECT_LE(tight.offset[c] + tight.scale[c], 1.0001f);
   }
 }
 
@@ -267,27 +267,6 @@ TEST_F(SmallSet, HittingHasABall) {
   ASSERT_EQ(obstacles[0].size(), 1u);
   EXPECT_GT(obstacles[4][0].radius, 0.05f);
   EXPECT_TRUE(check().problems.empty());
-}
-
-TEST(MeshFeatures, FollowTheirDefinitions) {
-  Topology mesh;
-  mesh.rest_positions.resize(3, 3);
-  mesh.rest_positions << 0, 0, 0, 1, 0, 0, 0, 0, -1;
-  mesh.faces.resize(1, 3);
-  mesh.faces << 0, 1, 2;
-  // A quarter turn about y and a shift; the alignment undoes both.
-  RigidTransform alignment;
-  alignment.rotation << 0, 0, -1, 0, 1, 0, 1, 0, 0;
-  alignment.translation << 1, 2, 3;
-  const Eigen::Matrix3f inverse = alignment.rotation.transpose();
-  Positions moved = (mesh.rest_positions.rowwise() - alignment.translation.transpose()) * inverse.transpose();
-  Positions previous = moved;
-  previous.row(1) -= (inverse * Eigen::Vector3f(0.4f, 0, 0)).transpose();
-  const MeshFeatures features = mesh_features(mesh, alignment, moved, previous, 0.1);
-  EXPECT_LT(features.displacement.norm(), 1e-6f);
-  for (Eigen::Index v = 0; v < 3; ++v) EXPECT_NEAR(features.normal(v, 1), 1, 1e-6f);
-  EXPECT_NEAR(features.velocity(1, 0), 4, 1e-5f);
-  EXPECT_NEAR(features.velocity.row(0).norm(), 0, 1e-6f);
 }
 
 }  // namespace

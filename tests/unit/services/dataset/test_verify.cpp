@@ -109,7 +109,7 @@ TEST_F(Verify, FindsWhatIsMissing) {
   std::filesystem::remove(sequence("draping-01"));
   expect_problem("draping-01: not made yet");
   DatasetMaster master = DatasetReader(options.folder).master();
-  master.normalization->maximum[1] = master.normalization->minimum[1];
+  master.normalization->scale[1] = 0;
   write_dataset_master(options.folder, master);
   expect_problem("does not cover channel 1");
   master.normalization.reset();

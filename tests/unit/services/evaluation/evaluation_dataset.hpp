@@ -48,10 +48,7 @@ class EvaluationDataset : public testing::Test {
     master.frame_time_s = 0.04;
     master.topology = {coarse, subdivision.fine, subdivision.feature_vertices};
     master.sequences = {"learn", "fall"};
-    FeatureRange range;
-    range.minimum.fill(-1);
-    range.maximum.fill(1);
-    master.normalization = range;
+    master.normalization = ChannelRanges{std::vector<float>(9, -1), std::vector<float>(9, 2)};
     write_dataset_master(folder_, master);
     for (const std::string sequence : {"learn", "fall"}) {
       SequenceOptions options;

@@ -79,10 +79,10 @@ TEST_F(Evaluation, NamesAnUnknownSequence) {
 
 TEST_F(Evaluation, FindsTheRoundsOfSubdivision) {
   const DatasetReader dataset(folder_);
-  EXPECT_EQ(subdivision_rounds(dataset.topology()), 2);
+  EXPECT_EQ(subdivision_of(dataset.topology()), SubdivisionSpec{2});
   MeshPair other = dataset.topology();
   other.fine.rest_positions(20, 1) += 0.1f;
-  EXPECT_THROW(subdivision_rounds(other), Error);
+  EXPECT_THROW(subdivision_of(other), Error);
 }
 
 TEST_F(Evaluation, AsACommandPrintsJson) {

@@ -272,7 +272,7 @@ TEST(Stretch, IsTheErrorOfEdgeLengthsOverRestLengths) {
 TEST(DisplacementImageError, OfAConstantOffset) {
   const Topology coarse = grid(4, 1);
   const Topology fine = subdivide(coarse, 2).fine;
-  const DisplacementRange range{{-0.5f, -1, -2}, {0.5f, 1, 2}};
+  const ChannelRanges range{{-0.5f, -1, -2, 0, 0, 0, 0, 0, 0}, {1, 2, 4, 1, 1, 1, 1, 1, 1}};
   DisplacementImageError error(coarse, fine, range);
   Positions candidate = fine.rest_positions;
   candidate.col(0).array() += 0.1f;  // a tenth of the first channel's range, nothing in the others
@@ -284,7 +284,7 @@ TEST(DisplacementImageError, OfAConstantOffset) {
 TEST(DisplacementImageError, MovesWithTheGarment) {
   const Topology coarse = grid(4, 1);
   const Topology fine = subdivide(coarse, 2).fine;
-  const DisplacementRange range{{-0.5f, -1, -2}, {0.5f, 1, 2}};
+  const ChannelRanges range{{-0.5f, -1, -2, 0, 0, 0, 0, 0, 0}, {1, 2, 4, 1, 1, 1, 1, 1, 1}};
   DisplacementImageError error(coarse, fine, range);
   const Eigen::Matrix3f turn = Eigen::AngleAxisf(1.2f, Eigen::Vector3f(1, 2, 3).normalized()).toRotationMatrix();
   const auto moved = [&turn](const Positions& p) -> Positions {
@@ -299,13 +299,13 @@ TEST(DisplacementImageError, MovesWithTheGarment) {
 TEST(DisplacementImageError, RefusesAnEmptyRange) {
   const Topology coarse = grid(4, 1);
   const Topology fine = subdivide(coarse, 2).fine;
-  EXPECT_THROW(DisplacementImageError(coarse, fine, DisplacementRange{}), Error);
+  EXPECT_THROW(DisplacementImageError(coarse, fine, ChannelRanges{}), Error);
 }
 
 TEST(MetricsAccumulator, PoolsFramesAndSums) {
   const Topology coarse = grid(4, 1);
   const Topology fine = subdivide(coarse, 1).fine;
-  MetricsAccumulator metrics(coarse, fine, {}, DisplacementRange{{0, 0, 0}, {1, 1, 1}});
+  MetricsAccumulator metrics(coarse, fine, {}, ChannelRanges{std::vector<float>(9, 0), std::vector<float>(9, 1)});
   Positions candidate = fine.rest_positions;
   candidate.col(1).array() += 0.2f;
   metrics.begin_sequence();

@@ -344,7 +344,7 @@ TEST(SceneMessages, BringTheOptions) {
   EXPECT_EQ(scene.strain_limits.minimum, 0.9);
   EXPECT_EQ(scene.strain_limits.maximum, 1.1);
   EXPECT_TRUE(scene.untangle);
-  EXPECT_EQ(scene.subdivision_rule, SubdivisionRule::kLoop);
+  EXPECT_EQ(scene.subdivision_rule, SubdivisionRule::kSmooth);
   EXPECT_EQ(scene.handle_stretch_warning, 1.5);
 }
 

@@ -287,7 +287,7 @@ TEST(Simulation, FreeFineClothMayStartFromLoopsSurface) {
   for (Eigen::Index v = 0; v < scene.garment.vertex_count(); ++v) {
     if (v % 5 == 2) scene.garment.rest_positions(v, 1) = 0.05f;
   }
-  scene.subdivision_rule = SubdivisionRule::kLoop;
+  scene.subdivision_rule = SubdivisionRule::kSmooth;
   Simulation simulation(scene, Mode::kFreeFine);
   const SimulatedFrame frame = simulation.next_frame();
   EXPECT_LT((frame.fine->positions - simulation.fine().rest_positions).cwiseAbs().maxCoeff(), 1e-6f);
@@ -308,7 +308,7 @@ TEST(Simulation, LoopsSurfaceStartsUnstretched) {
   for (const char* name : {"deploy/garments/tablecloth.obj", "deploy/garments/skirt.obj"}) {
     Scene scene = sheet_scene();
     scene.garment = read_obj(name);
-    scene.subdivision_rule = SubdivisionRule::kLoop;
+    scene.subdivision_rule = SubdivisionRule::kSmooth;
     const Simulation simulation(scene, Mode::kFreeFine);
     const Topology& fine = simulation.fine();
     for (Eigen::Index f = 0; f < fine.face_count(); ++f) {

@@ -80,12 +80,12 @@ inline void write_sequence(const std::filesystem::path& folder, const DatasetMas
   if (recorded == kFrames) writer.finish();
 }
 
-inline FeatureRange example_range() {
-  FeatureRange range;
+inline ChannelRanges example_range() {
+  ChannelRanges range;
   for (std::size_t c = 0; c < 9; ++c) {
     const float reach = c < 3 ? 0.5F : c < 6 ? 1.0F : 2.0F;
-    range.minimum[c] = -reach;
-    range.maximum[c] = reach;
+    range.offset.push_back(-reach);
+    range.scale.push_back(2 * reach);
   }
   return range;
 }

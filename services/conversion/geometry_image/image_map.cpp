@@ -1,4 +1,4 @@
-#include "services/conversion/image_map.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -7,20 +7,13 @@
 #include <string>
 
 #include "common/base/error.hpp"
-#include "services/conversion/chart_raster.hpp"
+#include "common/base/pool.hpp"
+#include "services/conversion/geometry_image/chart_raster.hpp"
+#include "services/conversion/geometry_image/texel_fit.hpp"
 #include "services/conversion/rigid_alignment.hpp"
-#include "services/conversion/texel_fit.hpp"
 
 namespace pleat {
 namespace {
-
-using Features = Eigen::Matrix<float, Eigen::Dynamic, kImageChannels, Eigen::RowMajor>;
-
-// One texel: three vertices with weights; padding repeats its source's.
-struct TexelTaps {
-  std::array<std::uint32_t, 3> vertex;
-  std::array<float, 3> weight;
-};
 
 void check_spec(const ImageSpec& spec) {
   if (spec.scale < 1 || spec.scale > 16) {
@@ -118,11 +111,11 @@ VertexReads make_vertex_reads(const Topology& t, const ChartRaster& raster) {
     for (const std::uint32_t u : list) {
       for (std::size_t i = 0; i < 4; ++i) {
         if (raster.reads[u].weight[i] == 0) continue;
-        rows.texels.push_back(raster.reads[u].texel[i]);
+        rows.places.push_back(raster.reads[u].texel[i]);
         rows.weights.push_back(raster.reads[u].weight[i] / static_cast<float>(list.size()));
       }
     }
-    rows.offsets.push_back(static_cast<std::uint32_t>(rows.texels.size()));
+    rows.offsets.push_back(static_cast<std::uint32_t>(rows.places.size()));
   }
   return rows;
 }
@@ -143,79 +136,32 @@ void check_frame(const Frame& frame, const Topology& t, const char* name) {
 
 // Memory of one conversion that is under way.
 struct Scratch {
-  Positions rotated, normals;
-  Features features;
+  FeatureScratch mesh;
+  FrameFeatures features;
 };
-
-// Keeps what conversions on several threads have used.
-class ScratchPool {
- public:
-  std::unique_ptr<Scratch> take() {
-    const std::lock_guard lock(mutex_);
-    if (free_.empty()) return std::make_unique<Scratch>();
-    std::unique_ptr<Scratch> scratch = std::move(free_.back());
-    free_.pop_back();
-    return scratch;
-  }
-  void give_back(std::unique_ptr<Scratch> scratch) {
-    const std::lock_guard lock(mutex_);
-    free_.push_back(std::move(scratch));
-  }
-
- private:
-  std::mutex mutex_;
-  std::vector<std::unique_ptr<Scratch>> free_;
-};
-
-// The nine features of each vertex ([MFSR-S] eq. 4).
-void vertex_features(const Frame& frame, const Topology& t, const RigidTransform& transform, Scratch& scratch) {
-  const Eigen::Matrix3f& r = transform.rotation;
-  scratch.rotated.resize(t.vertex_count(), 3);
-  for (Eigen::Index v = 0; v < t.vertex_count(); ++v) {
-    scratch.rotated.row(v) = r * Eigen::Vector3f(frame.positions.row(v));
-  }
-  // Normals of what was rotated, so that those of vertices without area do not depend on the motion, either.
-  vertex_normals(scratch.rotated, t.faces, scratch.normals);
-  Features& features = scratch.features;
-  features.resize(t.vertex_count(), kImageChannels);
-  const bool moving = frame.velocities.rows() != 0;
-  for (Eigen::Index v = 0; v < features.rows(); ++v) {
-    const Eigen::Vector3f rest = t.rest_positions.row(v);
-    features.row(v).segment<3>(kDisplacementChannel) =
-        Eigen::Vector3f(scratch.rotated.row(v)) + transform.translation - rest;
-    features.row(v).segment<3>(kNormalChannel) = scratch.normals.row(v);
-    Eigen::Vector3f velocity = Eigen::Vector3f::Zero();
-    if (moving) velocity = r * Eigen::Vector3f(frame.velocities.row(v));
-    features.row(v).segment<3>(kVelocityChannel) = velocity;
-  }
-}
 
 void shape_image(Tensor& image, int width, int height) {
-  image.shape = {kImageChannels, height, width};
-  if (image.channels != image_channel_names()) image.channels = image_channel_names();
-  image.values.resize(static_cast<std::size_t>(kImageChannels) * static_cast<std::size_t>(width) *
+  image.shape = {kFrameChannels, height, width};
+  if (image.channels != frame_channel_names()) image.channels = frame_channel_names();
+  image.values.resize(static_cast<std::size_t>(kFrameChannels) * static_cast<std::size_t>(width) *
                       static_cast<std::size_t>(height));
 }
 
-void sample(const std::vector<TexelTaps>& taps, const Features& features, Tensor& image) {
+/// values: (V x k). planes: (k, texels).
+template <typename Values>
+void sample(const std::vector<TexelTaps>& taps, const Values& values, float* planes) {
+  constexpr int kColumns = Values::ColsAtCompileTime;
   const std::size_t size = taps.size();
   for (std::size_t i = 0; i < size; ++i) {
     const TexelTaps& tap = taps[i];
-    const Eigen::Matrix<float, 1, kImageChannels> value = tap.weight[0] * features.row(tap.vertex[0]) +
-                                                          tap.weight[1] * features.row(tap.vertex[1]) +
-                                                          tap.weight[2] * features.row(tap.vertex[2]);
-    for (std::size_t c = 0; c < kImageChannels; ++c) image.values[c * size + i] = value(static_cast<Eigen::Index>(c));
+    const Eigen::Matrix<float, 1, kColumns> value = tap.weight[0] * values.row(tap.vertex[0]) +
+                                                    tap.weight[1] * values.row(tap.vertex[1]) +
+                                                    tap.weight[2] * values.row(tap.vertex[2]);
+    for (std::size_t c = 0; c < kColumns; ++c) planes[c * size + i] = value(static_cast<Eigen::Index>(c));
   }
 }
 
 }  // namespace
-
-const std::vector<std::string>& image_channel_names() {
-  static const std::vector<std::string> names{"displacement_x", "displacement_y", "displacement_z",
-                                              "normal_x",       "normal_y",       "normal_z",
-                                              "velocity_x",     "velocity_y",     "velocity_z"};
-  return names;
-}
 
 struct ImageMap::Maps {
   Topology coarse, fine;
@@ -226,7 +172,7 @@ struct ImageMap::Maps {
   std::vector<TexelTaps> coarse_taps, fine_taps;
   VertexReads vertex_reads;
   ChartRaster fine_raster;
-  mutable ScratchPool scratch;
+  mutable Pool<Scratch> scratch;
   mutable std::once_flag fit_once;
   mutable std::unique_ptr<TexelFit> fit_when_needed;
 
@@ -236,19 +182,41 @@ struct ImageMap::Maps {
     return *fit_when_needed;
   }
 
+  /// values: (V_fine x k). planes: (k, H W).
+  template <typename Values>
+  void spread(const Values& values, float* planes) const;
+
   // Reads three channels of an image at the fine vertices, rotated back with R^T after adding `add` (V x 3).
   template <typename Add>
   void read(const Tensor& image, int first_channel, const RigidTransform& transform, const Add& add,
             Positions& values) const;
 };
 
+template <typename Values>
+void ImageMap::Maps::spread(const Values& values, float* planes) const {
+  if (spec.method == FineImageMethod::kSampled) {
+    sample(fine_taps, values, planes);
+    return;
+  }
+  const Eigen::MatrixXd solution = fit().solve(values.template cast<double>());
+  const std::vector<std::uint32_t>& texels = fit().texels();
+  const std::size_t size = fine_grid.size();
+  for (Eigen::Index c = 0; c < values.cols(); ++c) {
+    float* plane = planes + static_cast<std::size_t>(c) * size;
+    for (std::size_t i = 0; i < texels.size(); ++i) {
+      plane[texels[i]] = static_cast<float>(solution(static_cast<Eigen::Index>(i), c));
+    }
+    for (std::size_t i = 0; i < size; ++i) plane[i] = plane[fine_raster.padded_by[i]];
+  }
+}
+
 template <typename Add>
 void ImageMap::Maps::read(const Tensor& image, int first_channel, const RigidTransform& transform, const Add& add,
                           Positions& values) const {
-  if (image.shape.size() != 3 || image.shape[0] < first_channel + 3 || image.shape[0] > kImageChannels ||
+  if (image.shape.size() != 3 || image.shape[0] < first_channel + 3 || image.shape[0] > kFrameChannels ||
       image.shape[1] != fine_grid.height || image.shape[2] != fine_grid.width ||
       image.values.size() != static_cast<std::size_t>(image.shape[0]) * fine_grid.size()) {
-    throw_invalid_argument("fine image: expected (" + std::to_string(kImageChannels) + ", " +
+    throw_invalid_argument("fine image: expected (" + std::to_string(kFrameChannels) + ", " +
                            std::to_string(fine_grid.height) + ", " + std::to_string(fine_grid.width) + ")");
   }
   values.resize(fine.vertex_count(), 3);
@@ -259,7 +227,7 @@ void ImageMap::Maps::read(const Tensor& image, int first_channel, const RigidTra
     const auto row = static_cast<std::size_t>(v);
     Eigen::Vector3f sum = Eigen::Vector3f::Zero();
     for (std::uint32_t i = vertex_reads.offsets[row]; i < vertex_reads.offsets[row + 1]; ++i) {
-      const std::uint32_t texel = vertex_reads.texels[i];
+      const std::uint32_t texel = vertex_reads.places[i];
       sum += vertex_reads.weights[i] * Eigen::Vector3f(x[texel], y[texel], z[texel]);
     }
     const Eigen::Vector3f aligned = sum + add(v);
@@ -334,12 +302,15 @@ CoarseImage ImageMap::coarse_image(const Frame& coarse) const {
 }
 
 void ImageMap::coarse_image(const Frame& coarse, const RigidTransform& transform, Tensor& image) const {
-  check_frame(coarse, maps_->coarse, "coarse");
   shape_image(image, coarse_width(), coarse_height());
-  auto scratch = maps_->scratch.take();
-  vertex_features(coarse, maps_->coarse, transform, *scratch);
-  sample(maps_->coarse_taps, scratch->features, image);
-  maps_->scratch.give_back(std::move(scratch));
+  coarse_image(coarse, transform, image.values.data());
+}
+
+void ImageMap::coarse_image(const Frame& coarse, const RigidTransform& transform, float* planes) const {
+  check_frame(coarse, maps_->coarse, "coarse");
+  const Pool<Scratch>::Lent scratch(maps_->scratch);
+  frame_features(coarse, maps_->coarse, transform, scratch->mesh, scratch->features);
+  sample(maps_->coarse_taps, scratch->features, planes);
 }
 
 Tensor ImageMap::fine_image(const Frame& fine, const RigidTransform& transform) const {
@@ -351,25 +322,21 @@ Tensor ImageMap::fine_image(const Frame& fine, const RigidTransform& transform) 
 void ImageMap::fine_image(const Frame& fine, const RigidTransform& transform, Tensor& image) const {
   check_frame(fine, maps_->fine, "fine");
   shape_image(image, fine_width(), fine_height());
-  auto scratch = maps_->scratch.take();
-  vertex_features(fine, maps_->fine, transform, *scratch);
-  if (maps_->spec.method == FineImageMethod::kSampled) {
-    sample(maps_->fine_taps, scratch->features, image);
-    maps_->scratch.give_back(std::move(scratch));
-    return;
-  }
-  const TexelFit& fit = maps_->fit();
-  const Eigen::MatrixXd solution = fit.solve(scratch->features.cast<double>());
-  maps_->scratch.give_back(std::move(scratch));
-  const std::size_t size = maps_->fine_grid.size();
-  for (std::size_t c = 0; c < kImageChannels; ++c) {
-    float* plane = image.values.data() + c * size;
-    for (std::size_t i = 0; i < fit.texels().size(); ++i) {
-      plane[fit.texels()[i]] = static_cast<float>(solution(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(c)));
-    }
-    for (std::size_t i = 0; i < size; ++i) plane[i] = plane[maps_->fine_raster.padded_by[i]];
-  }
+  const Pool<Scratch>::Lent scratch(maps_->scratch);
+  frame_features(fine, maps_->fine, transform, scratch->mesh, scratch->features);
+  maps_->spread(scratch->features, image.values.data());
 }
+
+void ImageMap::fine_planes(const Positions& values, float* planes) const {
+  if (values.rows() != maps_->fine.vertex_count() || !values.allFinite()) {
+    throw_invalid_argument("values of " + std::to_string(values.rows()) +
+                           " fine vertices: another mesh, or not finite");
+  }
+  maps_->spread(values, planes);
+}
+
+const std::vector<TexelTaps>& ImageMap::coarse_taps() const { return maps_->coarse_taps; }
+const std::vector<TexelTaps>& ImageMap::fine_taps() const { return maps_->fine_taps; }
 
 Positions ImageMap::to_mesh(const Tensor& image, const RigidTransform& transform) const {
   Positions positions;

@@ -13,31 +13,13 @@
 #include <memory>
 #include <vector>
 
+#include "common/features/frame_features.hpp"
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
+#include "services/conversion/geometry_image/image_spec.hpp"
+#include "services/conversion/vertex_reads.hpp"
 
 namespace pleat {
-
-/// Channels of a geometry image, in this order; all in the frame of the rigid alignment (metres, -, m/s).
-inline constexpr int kImageChannels = 9;
-inline constexpr int kDisplacementChannel = 0, kNormalChannel = 3, kVelocityChannel = 6;
-/// "displacement_x" ... "velocity_z".
-const std::vector<std::string>& image_channel_names();
-
-enum class FineImageMethod {
-  kFitted,   ///< least squares: bilinear reads reproduce the vertices, plus lambda times second differences
-  kSampled,  ///< barycentric sampling as published
-};
-
-struct ImageSpec {
-  double texels_per_fine_vertex = 3;  ///< chooses the size where coarse_width is 0
-  int coarse_width = 0;               ///< texels; 0: from texels_per_fine_vertex and the material bounding box
-  int coarse_height = 0;              ///< texels; set with coarse_width or not at all
-  int scale = 4;                      ///< fine size over coarse size, 1 to 16
-  FineImageMethod method = FineImageMethod::kFitted;
-  double lambda = 5e-5;                       ///< weight of the second differences of kFitted, > 0
-  std::int64_t max_fine_texels = 16ll << 20;  ///< more are refused before anything is built
-};
 
 /// A coarse frame as an image, with the alignment that its fine frame needs.
 struct CoarseImage {
@@ -45,12 +27,10 @@ struct CoarseImage {
   RigidTransform transform;
 };
 
-/// How a fine image is read at the fine vertices: vertex v gets the sum over offsets[v] <= i < offsets[v + 1] of
-/// weights[i] times texel texels[i] (row-major). A vertex that no face uses reads nothing.
-struct VertexReads {
-  std::vector<std::uint32_t> offsets{0};
-  std::vector<std::uint32_t> texels;
-  std::vector<float> weights;
+/// One texel as a combination of three vertices; padding repeats the texel whose value it shows.
+struct TexelTaps {
+  std::array<std::uint32_t, 3> vertex;
+  std::array<float, 3> weight;
 };
 
 /// The sparse maps between the meshes of one session and their images. Every const member may be called from several
@@ -91,10 +71,20 @@ class ImageMap {
   /// The same with a given alignment, into a tensor that is reused.
   void coarse_image(const Frame& coarse, const RigidTransform& transform, Tensor& image) const;
 
+  /// The same into memory of 9 h w values.
+  void coarse_image(const Frame& coarse, const RigidTransform& transform, float* planes) const;
+
   /// Features of a fine frame as an image (9, H, W): the training target. The first call of kFitted factorises
   /// (about 0.3 s for 240 x 160 texels).
   Tensor fine_image(const Frame& fine, const RigidTransform& transform) const;
   void fine_image(const Frame& fine, const RigidTransform& transform, Tensor& image) const;
+
+  /// Any values of the fine vertices (V_fine x 3) as an image, in the same way: 3 H W values.
+  void fine_planes(const Positions& values, float* planes) const;
+
+  /// How a texel is sampled: (h w) of the coarse and (H W) of the fine mesh.
+  const std::vector<TexelTaps>& coarse_taps() const;
+  const std::vector<TexelTaps>& fine_taps() const;
 
   /// Fine positions (V_fine x 3) from the displacement channels by bilinear reads over valid texels. A vertex with
   /// several material coordinates gets the mean of its charts; a vertex that no face uses moves with the alignment.

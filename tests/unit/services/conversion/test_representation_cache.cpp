@@ -1,4 +1,4 @@
-#include "services/conversion/map_cache.hpp"
+#include "services/conversion/representation_cache.hpp"
 
 #include <gtest/gtest.h>
 
@@ -12,16 +12,14 @@
 namespace pleat::conversion {
 namespace {
 
-std::shared_ptr<const SessionMaps> build_maps() {
-  const test::Garment garment = test::load_garment("four charts");
-  auto maps = std::make_shared<SessionMaps>();
-  maps->fine = garment.fine();
-  maps->map = std::make_unique<ImageMap>(garment.coarse, maps->fine);
-  return maps;
+std::shared_ptr<const Representation> build_maps() {
+  RepresentationSpec spec;
+  spec.kind = GeometryImageSpec{};
+  return make_representation(test::load_garment("four charts").coarse, spec);
 }
 
-TEST(MapCache, BuildsOncePerKey) {
-  MapCache cache(10'000'000);
+TEST(RepresentationCache, BuildsOncePerKey) {
+  RepresentationCache cache(10'000'000);
   int built = 0;
   const auto build = [&] {
     ++built;
@@ -36,9 +34,9 @@ TEST(MapCache, BuildsOncePerKey) {
   EXPECT_EQ(built, 2);
 }
 
-TEST(MapCache, ForgetsWhatWasNotAskedForLongest) {
+TEST(RepresentationCache, ForgetsWhatWasNotAskedForLongest) {
   const std::size_t size = build_maps()->size();
-  MapCache cache(2 * size);
+  RepresentationCache cache(2 * size);
   int built = 0;
   const auto build = [&] {
     ++built;
@@ -53,27 +51,27 @@ TEST(MapCache, ForgetsWhatWasNotAskedForLongest) {
   EXPECT_EQ(built, 3);
   cache.get("b", build);
   EXPECT_EQ(built, 4);
-  MapCache none(0);
+  RepresentationCache none(0);
   EXPECT_NE(none.get("a", build), nullptr);
-  EXPECT_EQ(none.get("a", build)->map->fine_width(), a->map->fine_width());
+  EXPECT_EQ(none.get("a", build)->answer_shape(), a->answer_shape());
   EXPECT_EQ(built, 6);
 }
 
-TEST(MapCache, AFailureIsNotKept) {
-  MapCache cache(1000);
-  EXPECT_THROW(cache.get("a", []() -> std::shared_ptr<const SessionMaps> { throw_invalid_argument("no"); }), Error);
+TEST(RepresentationCache, AFailureIsNotKept) {
+  RepresentationCache cache(1000);
+  EXPECT_THROW(cache.get("a", []() -> std::shared_ptr<const Representation> { throw_invalid_argument("no"); }), Error);
   EXPECT_NE(cache.get("a", build_maps), nullptr);
 }
 
-TEST(MapCache, CallersOfOneKeyShareTheBuild) {
-  MapCache cache(10'000'000);
+TEST(RepresentationCache, CallersOfOneKeyShareTheBuild) {
+  RepresentationCache cache(10'000'000);
   std::atomic<int> built{0};
   const auto build = [&] {
     ++built;
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     return build_maps();
   };
-  std::vector<std::shared_ptr<const SessionMaps>> found(4);
+  std::vector<std::shared_ptr<const Representation>> found(4);
   std::vector<std::thread> threads;
   for (auto& maps : found) threads.emplace_back([&] { maps = cache.get("a", build); });
   for (std::thread& thread : threads) thread.join();

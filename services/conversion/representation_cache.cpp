@@ -1,15 +1,12 @@
-#include "services/conversion/map_cache.hpp"
+#include "services/conversion/representation_cache.hpp"
 
 #include <algorithm>
 
 namespace pleat::conversion {
 
-std::size_t SessionMaps::size() const {
-  return static_cast<std::size_t>(fine.vertex_count()) + map->fine_mask().size();
-}
-
-std::shared_ptr<const SessionMaps> MapCache::get(const std::string& key, const Build& build, bool* was_there) {
-  std::promise<std::shared_ptr<const SessionMaps>> promise;
+std::shared_ptr<const Representation> RepresentationCache::get(const std::string& key, const Build& build,
+                                                               bool* was_there) {
+  std::promise<std::shared_ptr<const Representation>> promise;
   {
     std::unique_lock lock(mutex_);
     const auto found = std::find_if(entries_.begin(), entries_.end(), [&](const Entry& e) { return e.key == key; });
@@ -25,7 +22,7 @@ std::shared_ptr<const SessionMaps> MapCache::get(const std::string& key, const B
   const auto entry_of_key = [&] {
     return std::find_if(entries_.begin(), entries_.end(), [&](const Entry& e) { return e.key == key; });
   };
-  std::shared_ptr<const SessionMaps> maps;
+  std::shared_ptr<const Representation> maps;
   try {
     maps = build();
   } catch (...) {

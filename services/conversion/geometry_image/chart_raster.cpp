@@ -1,4 +1,4 @@
-#include "services/conversion/chart_raster.hpp"
+#include "services/conversion/geometry_image/chart_raster.hpp"
 
 #include <algorithm>
 #include <cmath>

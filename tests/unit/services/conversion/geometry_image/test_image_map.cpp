@@ -4,7 +4,7 @@
 #include <limits>
 
 #include "common/base/error.hpp"
-#include "services/conversion/image_map.hpp"
+#include "services/conversion/geometry_image/image_map.hpp"
 #include "services/conversion/rigid_alignment.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
@@ -83,7 +83,7 @@ TEST_P(Garments, VertexReadsAreWhatToMeshReads) {
   for (Eigen::Index v = 0; v < expected.rows(); ++v) {
     Eigen::Vector3f position = garment.fine().rest_positions.row(v);
     for (auto i = reads.offsets[static_cast<std::size_t>(v)]; i < reads.offsets[static_cast<std::size_t>(v) + 1]; ++i) {
-      const std::size_t texel = reads.texels[i];
+      const std::size_t texel = reads.places[i];
       ASSERT_EQ(map.fine_mask()[texel], 1);
       const Eigen::Vector3f value(image.values[texel], image.values[plane + texel], image.values[2 * plane + texel]);
       position += reads.weights[i] * value;

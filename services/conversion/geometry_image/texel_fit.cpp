@@ -1,4 +1,4 @@
-#include "services/conversion/texel_fit.hpp"
+#include "services/conversion/geometry_image/texel_fit.hpp"
 
 #include "common/base/error.hpp"
 

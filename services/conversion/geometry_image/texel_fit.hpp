@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "common/mesh/sparse_cholesky.hpp"
-#include "services/conversion/chart_raster.hpp"
+#include "services/conversion/geometry_image/chart_raster.hpp"
 
 namespace pleat {
 

@@ -1,0 +1,245 @@
+#include "services/conversion/geometry_image/cloth_axes.hpp"
+
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+
+#include "common/base/simd.hpp"
+
+namespace pleat {
+namespace {
+
+constexpr float kSmallestLength = 1e-9F;
+constexpr float kSmallestStep = 1e-14F;  ///< squared, m^2
+constexpr float kSmallestVolume = 1e-3F;
+constexpr int kLanes = 8;
+
+struct Vector8 {
+  Float8 x, y, z;
+};
+Vector8 operator+(const Vector8& a, const Vector8& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+Vector8 operator-(const Vector8& a, const Vector8& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+Vector8 operator*(Float8 s, const Vector8& a) { return {s * a.x, s * a.y, s * a.z}; }
+Vector8 operator*(float s, const Vector8& a) { return broadcast8(s) * a; }
+Float8 dot(const Vector8& a, const Vector8& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Vector8 cross(const Vector8& a, const Vector8& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+Vector8 unit(const Vector8& a) { return (1 / max(sqrt(dot(a, a)), broadcast8(kSmallestLength))) * a; }
+
+/// Differences of positions around eight texels of a row.
+struct Steps {
+  Vector8 u, v, uu, uv, vv;
+};
+
+/// positions: the texel's place in three extended planes; row: values from one row to the next, plane: to the next
+/// plane.
+Steps steps_at(const float* positions, std::size_t row, std::size_t plane) {
+  const auto at = [&](std::ptrdiff_t dy, std::ptrdiff_t dx) {
+    const float* p = positions + dy * static_cast<std::ptrdiff_t>(row) + dx;
+    return Vector8{load_as<Float8>(p), load_as<Float8>(p + plane), load_as<Float8>(p + 2 * plane)};
+  };
+  const Vector8 here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(-1, 0), below = at(1, 0);
+  return {0.5F * (right - left), 0.5F * (below - above), right - 2.0F * here + left,
+          0.25F * (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)), below - 2.0F * here + above};
+}
+
+/// Up to eight values of a dense row.
+Float8 load_some(const float* from, int count) {
+  if (count >= kLanes) return load_as<Float8>(from);
+  Float8 v{};
+  for (int i = 0; i < count; ++i) v[i] = from[i];
+  return v;
+}
+void store_some(float* to, const Float8& v, int count) {
+  if (count >= kLanes) {
+    store_to(to, v);
+    return;
+  }
+  for (int i = 0; i < count; ++i) to[i] = v[i];
+}
+
+}  // namespace
+
+const std::vector<std::string>& cloth_channel_names() {
+  static const std::vector<std::string> names{
+      "strain_uu",           "strain_vv",           "strain_uv",           "curvature_uu_along",  "curvature_uu_across",
+      "curvature_uu_normal", "curvature_uv_along",  "curvature_uv_across", "curvature_uv_normal", "curvature_vv_along",
+      "curvature_vv_across", "curvature_vv_normal", "normal_along",        "normal_across",       "velocity_along",
+      "velocity_across",     "velocity_normal"};
+  return names;
+}
+
+ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width)
+    : height_(height), width_(width), row_((static_cast<std::size_t>(width) + 2 + 2 * kLanes - 1) / kLanes * kLanes) {
+  // Positions that do not move show the rest mesh.
+  rest_.assign(rest.size(), 0.0F);
+  Scratch positions(3 * row_ * static_cast<std::size_t>(height + 2));
+  extend(rest.data(), positions.data());
+  rest_ = rest;
+  const std::size_t plane = row_ * static_cast<std::size_t>(height + 2);
+  inverse_u_.assign(row_ * static_cast<std::size_t>(height), 0.0F);
+  inverse_v_ = inverse_u_;
+  const auto inverse = [](Float8 squared) {
+    return select(squared > broadcast8(kSmallestStep), 1 / squared, Float8{});
+  };
+  for (std::size_t y = 0; y < static_cast<std::size_t>(height); ++y) {
+    for (int x = 0; x < width; x += kLanes) {
+      const Steps r = steps_at(positions.data() + (y + 1) * row_ + static_cast<std::size_t>(x) + 1, row_, plane);
+      store_to(inverse_u_.data() + y * row_ + x, inverse(dot(r.u, r.u)));
+      store_to(inverse_v_.data() + y * row_ + x, inverse(dot(r.v, r.v)));
+    }
+  }
+}
+
+void ClothAxes::extend(const float* displacement, float* positions) const {
+  const auto h = static_cast<std::size_t>(height_), w = static_cast<std::size_t>(width_);
+  const std::size_t plane = row_ * (h + 2);
+  for (std::size_t c = 0; c < 3; ++c) {
+    float* out = positions + c * plane;
+    for (std::size_t y = 0; y < h; ++y) {
+      const float* d = displacement + (c * h + y) * w;
+      const float* r = rest_.data() + (c * h + y) * w;
+      float* row = out + (y + 1) * row_;
+      for (std::size_t x = 0; x < w; ++x) row[x + 1] = d[x] + r[x];
+      row[0] = w > 1 ? 2 * row[1] - row[2] : row[1];
+      row[w + 1] = w > 1 ? 2 * row[w] - row[w - 1] : row[w];
+    }
+    const std::size_t inside = h > 1 ? 2 : 1, last = h > 1 ? h - 1 : 1;
+    for (std::size_t x = 0; x < w + 2; ++x) {
+      out[x] = 2 * out[row_ + x] - out[inside * row_ + x];
+      out[(h + 1) * row_ + x] = 2 * out[h * row_ + x] - out[last * row_ + x];
+    }
+  }
+}
+
+void ClothAxes::compute(const float* image, Scratch& scratch, float* features, float* axes) const {
+  const auto h = static_cast<std::size_t>(height_), w = static_cast<std::size_t>(width_), size = h * w;
+  const std::size_t plane = row_ * (h + 2);
+  scratch.resize(3 * plane);
+  extend(image + static_cast<std::size_t>(kDisplacementChannel) * size, scratch.data());
+  for (std::size_t y = 0; y < h; ++y) {
+    for (std::size_t x = 0; x < w; x += kLanes) {
+      const int count = static_cast<int>(std::min<std::size_t>(kLanes, w - x));
+      const std::size_t texel = y * w + x;
+      const Steps s = steps_at(scratch.data() + (y + 1) * row_ + x + 1, row_, plane);
+      const Vector8 normal = unit(cross(s.u, s.v)), first = unit(s.u), second = cross(normal, first);
+      if (axes != nullptr) {
+        const Vector8* const all[] = {&first, &second, &normal};
+        for (std::size_t k = 0; k < 3; ++k) {
+          store_some(axes + 3 * k * size + texel, all[k]->x, count);
+          store_some(axes + (3 * k + 1) * size + texel, all[k]->y, count);
+          store_some(axes + (3 * k + 2) * size + texel, all[k]->z, count);
+        }
+      }
+      if (features == nullptr) continue;
+      const auto seen = [&](int channel) {
+        const float* from = image + static_cast<std::size_t>(channel) * size + texel;
+        return Vector8{load_some(from, count), load_some(from + size, count), load_some(from + 2 * size, count)};
+      };
+      const Vector8 n = seen(kNormalChannel), v = seen(kVelocityChannel);
+      const auto iu = load_as<Float8>(inverse_u_.data() + y * row_ + x),
+                 iv = load_as<Float8>(inverse_v_.data() + y * row_ + x);
+      const auto strain = [](Float8 squared, Float8 inverse) {
+        return select(inverse > 0, squared * inverse - 1, Float8{});
+      };
+      const Float8 values[kClothChannels] = {strain(dot(s.u, s.u), iu),
+                                             strain(dot(s.v, s.v), iv),
+                                             dot(s.u, s.v) * sqrt(iu * iv),
+                                             dot(s.uu, first),
+                                             dot(s.uu, second),
+                                             dot(s.uu, normal),
+                                             dot(s.uv, first),
+                                             dot(s.uv, second),
+                                             dot(s.uv, normal),
+                                             dot(s.vv, first),
+                                             dot(s.vv, second),
+                                             dot(s.vv, normal),
+                                             dot(n, first),
+                                             dot(n, second),
+                                             dot(v, first),
+                                             dot(v, second),
+                                             dot(v, normal)};
+      for (std::size_t c = 0; c < kClothChannels; ++c) store_some(features + c * size + texel, values[c], count);
+    }
+  }
+}
+
+std::vector<EnlargedAxes::Between> EnlargedAxes::places(int count, int scale) {
+  std::vector<Between> places;
+  for (int i = 0; i < count * scale; ++i) {
+    const float place = (static_cast<float>(i) + 0.5F) / static_cast<float>(scale) - 0.5F;
+    const int first = static_cast<int>(std::floor(place));
+    places.push_back({static_cast<std::size_t>(std::clamp(first, 0, count - 1)),
+                      static_cast<std::size_t>(std::clamp(first + 1, 0, count - 1)),
+                      place - static_cast<float>(first)});
+  }
+  return places;
+}
+
+EnlargedAxes::EnlargedAxes(int height, int width, int scale)
+    : height_(static_cast<std::size_t>(height)),
+      width_(static_cast<std::size_t>(width)),
+      rows_(places(height, scale)),
+      columns_(places(width, scale)) {}
+
+void EnlargedAxes::turn(const float* axes, const float* values, Scratch& scratch, float* turned) const {
+  const std::size_t size = height_ * width_, fine_width = columns_.size(), fine_size = fine_width * rows_.size();
+  // One row of axes between two coarse rows: (w, 3, 4), each axis in a vector of its own.
+  scratch.resize(12 * width_);
+  for (std::size_t j = 0; j < rows_.size(); ++j) {
+    const Between& row = rows_[j];
+    for (std::size_t k = 0; k < 9; ++k) {
+      const float* a = axes + k * size + row.first * width_;
+      const float* b = axes + k * size + row.second * width_;
+      float* to = scratch.data() + 4 * (k / 3) + k % 3;
+      for (std::size_t x = 0; x < width_; ++x) to[12 * x] = a[x] + row.weight * (b[x] - a[x]);
+    }
+    const float* value = values + j * fine_width;
+    float* out = turned + 4 * j * fine_width;
+    // Between two coarse columns the axes change linearly.
+    std::size_t first = width_, second = width_;
+    Float4 axis[3]{}, step[3]{};
+    for (std::size_t i = 0; i < fine_width; ++i) {
+      const Between& column = columns_[i];
+      if (column.first != first || column.second != second) {
+        first = column.first, second = column.second;
+        for (std::size_t k = 0; k < 3; ++k) {
+          axis[k] = load_as<Float4>(scratch.data() + 12 * first + 4 * k);
+          step[k] = load_as<Float4>(scratch.data() + 12 * second + 4 * k) - axis[k];
+        }
+      }
+      const float w = column.weight;
+      store_to(out + 4 * i, value[i] * (axis[0] + w * step[0]) + value[fine_size + i] * (axis[1] + w * step[1]) +
+                                value[2 * fine_size + i] * (axis[2] + w * step[2]));
+    }
+  }
+}
+
+void EnlargedAxes::turn_back(const float* axes, float* values) const {
+  const std::size_t size = height_ * width_, fine_size = columns_.size() * rows_.size();
+  for (std::size_t j = 0; j < rows_.size(); ++j) {
+    const Between& row = rows_[j];
+    for (std::size_t i = 0; i < columns_.size(); ++i) {
+      const Between& column = columns_[i];
+      Eigen::Matrix3f turn;  // its columns are the axes
+      for (std::size_t k = 0; k < 9; ++k) {
+        const auto along = [&](std::size_t y) {
+          const float* at = axes + k * size + y * width_;
+          return at[column.first] + column.weight * (at[column.second] - at[column.first]);
+        };
+        turn(static_cast<Eigen::Index>(k % 3), static_cast<Eigen::Index>(k / 3)) =
+            along(row.first) + row.weight * (along(row.second) - along(row.first));
+      }
+      float* at = values + j * columns_.size() + i;
+      const Eigen::Vector3f vector(at[0], at[fine_size], at[2 * fine_size]);
+      const bool whole = std::abs(turn.determinant()) > kSmallestVolume;
+      const Eigen::Matrix3f back = whole ? Eigen::Matrix3f(turn.inverse()) : Eigen::Matrix3f(turn.transpose());
+      const Eigen::Vector3f seen = back * vector;
+      for (std::size_t k = 0; k < 3; ++k) at[k * fine_size] = seen[static_cast<Eigen::Index>(k)];
+    }
+  }
+}
+
+}  // namespace pleat

@@ -1,0 +1,68 @@
+// The cloth's own axes at each texel of a coarse image, and what is seen in them.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "services/conversion/geometry_image/image_map.hpp"
+
+namespace pleat {
+
+/// What a network reads in the cloth's own axes, channels in this order: strains of the texel's steps along u and v
+/// (3: uu, vv, uv), second differences of the positions uu, uv, vv in each axis (9, metres), the interpolated normal's
+/// parts in the sheet (2), the velocity (3, m/s).
+inline constexpr int kClothChannels = 17;
+/// "strain_uu" ... "velocity_normal".
+const std::vector<std::string>& cloth_channel_names();
+
+/// The axes of a texel, from differences of neighbouring texels: the first along u, the third normal to the sheet, the
+/// second across both, t, n x t and n with t = du / |du| and n = du x dv / |du x dv|. Outside the image positions
+/// continue linearly. Immutable.
+class ClothAxes {
+ public:
+  /// rest: (3, h, w) rest positions at the coarse texels, metres.
+  ClothAxes(const std::vector<float>& rest, int height, int width);
+
+  /// Memory of one computation.
+  using Scratch = std::vector<float>;
+
+  /// image: (9, h, w), the channels of frame_channel_names(). features: (17, h, w). axes: (9, h, w), three vectors.
+  /// Either result may be null. Where the rest mesh has no extent (padding), strains are zero.
+  void compute(const float* image, Scratch& scratch, float* features, float* axes) const;
+
+ private:
+  void extend(const float* displacement, float* positions) const;
+
+  int height_, width_;
+  std::size_t row_;                           ///< values of an extended row, a multiple of a vector's
+  std::vector<float> rest_;                   ///< (3, h, w)
+  std::vector<float> inverse_u_, inverse_v_;  ///< (h, row): 1 / squared length of a step in the rest mesh; 0: none
+};
+
+/// The axes of coarse texels enlarged bilinearly to those of fine texels. Immutable.
+class EnlargedAxes {
+ public:
+  EnlargedAxes(int height, int width, int scale);
+
+  using Scratch = std::vector<float>;
+
+  /// Vectors in the axes of their texel -> in the alignment's axes. axes: (9, h, w); values: (3, scale h, scale w).
+  /// turned: (scale h, scale w, 4): x, y, z and nothing.
+  void turn(const float* axes, const float* values, Scratch& scratch, float* turned) const;
+  /// The inverse: values (3, scale h, scale w), in place. Where enlarged axes have collapsed, their transpose stands
+  /// for the inverse.
+  void turn_back(const float* axes, float* values) const;
+
+ private:
+  /// Where a fine texel's centre lies between coarse ones, along one direction.
+  struct Between {
+    std::size_t first, second;
+    float weight;  ///< of the second
+  };
+  static std::vector<Between> places(int count, int scale);
+
+  std::size_t height_, width_;
+  std::vector<Between> rows_, columns_;
+};
+
+}  // namespace pleat

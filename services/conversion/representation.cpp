@@ -1,0 +1,35 @@
+#include "services/conversion/representation.hpp"
+
+#include <string>
+#include <utility>
+
+#include "common/base/error.hpp"
+#include "services/conversion/geometry_image/detail_image.hpp"
+
+namespace pleat {
+
+std::unique_ptr<const Representation> make_representation(const Topology& coarse, const RepresentationSpec& spec,
+                                                          const Topology* fine) {
+  if (spec.window < 1 || spec.window > kMaxWindow) {
+    throw_invalid_argument("representation: a window of 1 to " + std::to_string(kMaxWindow) + " frames, not " +
+                           std::to_string(spec.window));
+  }
+  Subdivision subdivision;
+  if (fine != nullptr) {
+    subdivision.fine = *fine;
+  } else {
+    validate_topology(coarse, "coarse mesh");
+    subdivision = subdivide(coarse, spec.subdivision);
+  }
+  switch (std::get<GeometryImageSpec>(spec.kind).layout) {
+    case ImageLayout::kPublished:
+      return std::make_unique<GeometryImage>(coarse, std::move(subdivision), spec);
+    case ImageLayout::kDetail:
+      return std::make_unique<DetailImage>(coarse, std::move(subdivision), spec);
+    case ImageLayout::kPositions:
+      return std::make_unique<PositionImage>(coarse, std::move(subdivision), spec);
+  }
+  throw_internal("representation: an unknown layout");
+}
+
+}  // namespace pleat

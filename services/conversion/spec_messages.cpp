@@ -1,0 +1,73 @@
+#include "services/conversion/spec_messages.hpp"
+
+#include <algorithm>
+#include <string>
+
+#include "common/base/error.hpp"
+#include "common/frame/representation_messages.hpp"
+
+namespace pleat::conversion {
+namespace {
+
+int extent(std::uint32_t value) { return static_cast<int>(std::min(value, 1u << 20)); }
+
+GeometryImageSpec image_from(const v1::GeometryImage& message, std::int64_t max_texels) {
+  GeometryImageSpec spec;
+  switch (message.layout()) {
+    case v1::GeometryImage::LAYOUT_PUBLISHED:
+      spec.layout = ImageLayout::kPublished;
+      break;
+    case v1::GeometryImage::LAYOUT_DETAIL:
+      spec.layout = ImageLayout::kDetail;
+      break;
+    case v1::GeometryImage::LAYOUT_POSITIONS:
+      spec.layout = ImageLayout::kPositions;
+      break;
+    default:
+      throw_invalid_argument("representation.geometry_image.layout: unknown value " +
+                             std::to_string(static_cast<int>(message.layout())));
+  }
+  spec.base = message.base() == v1::GeometryImage::BASE_TEXELS ? DetailBase::kTexels : DetailBase::kVertices;
+  spec.image.coarse_width = extent(message.width());
+  spec.image.coarse_height = extent(message.height());
+  if (message.scale() != 0) spec.image.scale = extent(message.scale());
+  if (message.texels_per_fine_vertex() != 0) spec.image.texels_per_fine_vertex = message.texels_per_fine_vertex();
+  spec.image.max_fine_texels = max_texels;
+  return spec;
+}
+
+}  // namespace
+
+RepresentationSpec spec_from(const v1::Representation& message, std::int64_t max_texels) {
+  RepresentationSpec spec;
+  switch (message.kind_case()) {
+    case v1::Representation::kGeometryImage:
+    case v1::Representation::KIND_NOT_SET:
+      spec.kind = image_from(message.geometry_image(), max_texels);
+      break;
+    case v1::Representation::kVertexFeatures:
+      throw_invalid_argument("representation: this service has no vertex features");
+  }
+  spec.subdivision = subdivision_from(message);
+  if (spec.subdivision.rounds > kMaxSubdivisionRounds) {
+    throw_invalid_argument("representation.subdivision_rounds: at most " + std::to_string(kMaxSubdivisionRounds) +
+                           ", not " + std::to_string(message.subdivision_rounds()));
+  }
+  if (message.window() > static_cast<std::uint32_t>(kMaxWindow)) {
+    throw_invalid_argument("representation.window: at most " + std::to_string(kMaxWindow) + " frames, not " +
+                           std::to_string(message.window()));
+  }
+  spec.window = std::max(1, static_cast<int>(message.window()));
+  return spec;
+}
+
+ChannelRanges ranges_from(const v1::ChannelRanges& message, std::size_t channels, const std::string& field) {
+  ChannelRanges ranges;
+  ranges.offset.assign(message.offset().begin(), message.offset().end());
+  ranges.scale.assign(message.scale().begin(), message.scale().end());
+  ranges.limit = message.limit();
+  check_ranges(ranges, channels, field);
+  return ranges;
+}
+
+}  // namespace pleat::conversion
