@@ -68,7 +68,7 @@ struct Batcher::State {
     for (std::size_t i = 0; i < batch.size(); ++i) {
       Tensor result;
       result.shape = {channels, first.shape[1] * kScale, first.shape[2] * kScale};
-      const auto& names = state_->engine->describe().channels;
+      const auto& names = engine->describe().channels;
       result.channels.assign(names.begin(), names.begin() + channels);
       result.values = std::move(results[i]);
       batch[i].answer.set_value(std::move(result));
