@@ -13,9 +13,10 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
                  "frames a sequence; small: 150, full: the paper's 400 (draping) or 1,000 (hitting)")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
-  app.add_option("--fine", choice.fine, "the fine cloth follows the coarse one, or goes its own way")
+  app.add_option("--fine", choice.fine,
+                 "the fine cloth follows the coarse one, by averages or by the paper's springs, or goes its own way")
       ->capture_default_str()
-      ->check(CLI::IsMember({"tracked", "free"}));
+      ->check(CLI::IsMember({"tracked", "springs", "free"}));
   app.add_option("--frames", choice.frames, "frames a sequence, instead of the scale's")->check(positive_number());
   app.add_option("--train", choice.train, "sequences for training (default: 10 or 27)")->check(natural_number());
   app.add_option("--test", choice.test, "sequences for testing (default: 3 or 8)")->check(natural_number());
@@ -39,7 +40,8 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   options.scenes.extra = choice.extra;
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
   options.scenes.seed = choice.seed;
-  options.scenes.tracked = choice.fine == "tracked";
+  options.scenes.tracked = choice.fine != "free";
+  options.scenes.springs = choice.fine == "springs";
   options.scenes.garment = choice.garment;
   options.scenes.material = choice.material;
   options.workers = choice.workers;

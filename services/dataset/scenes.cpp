@@ -175,6 +175,7 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
     plan.scene.seed = options.seed;
     plan.tracked = options.tracked;
     if (!plan.tracked) plan.scene.tracking.frequency = 0;
+    if (plan.tracked && options.springs) plan.scene.tracking = simulation::published_tracking();
     plan.scene_json = scene_to_json(plan.scene, options.garment, options.material);
     plans.push_back(std::move(plan));
   }
@@ -200,6 +201,8 @@ std::string scene_to_json(const simulation::Scene& scene, const std::filesystem:
   json["frames"] = scene.frames;
   json["seed"] = std::to_string(scene.seed);  // 64-bit integers are strings in protobuf's JSON form
   if (scene.tracking.frequency > 0) json["tracking"]["frequency"] = scene.tracking.frequency;
+  if (scene.tracking.spring > 0) json["tracking"]["spring"] = scene.tracking.spring;
+  if (scene.tracking.two_level) json["tracking"]["twoLevel"] = true;
   for (const simulation::Handle& handle : scene.handles) {
     json["handles"].push_back({{"vertices", handle.vertices}, {"hard", handle.hard}});
   }

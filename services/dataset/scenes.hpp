@@ -35,6 +35,7 @@ struct SceneOptions {
   int frames = 150;             ///< per sequence, the initial state included
   std::uint64_t seed = 1;
   bool tracked = true;             ///< the fine cloth follows the coarse one; false: free fine simulations ([DT-S])
+  bool springs = false;            ///< tracked as [MFSR] section 4.2 has it, instead of by averages
   std::filesystem::path garment;   ///< OBJ with material coordinates
   std::filesystem::path material;  ///< ARCSim-format JSON
 };

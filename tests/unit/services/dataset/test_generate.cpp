@@ -118,6 +118,15 @@ TEST_F(SmallSet, ScenesAreSceneFiles) {
   }
 }
 
+TEST_F(SmallSet, ScenesSayHowTheFineClothIsTracked) {
+  const auto tracking = [&] { return nlohmann::json::parse(plan_sequences(options.scenes)[0].scene_json)["tracking"]; };
+  EXPECT_EQ(tracking(), (nlohmann::json{{"frequency", 7.0}}));
+  options.scenes.springs = true;
+  EXPECT_EQ(tracking(), (nlohmann::json{{"spring", 10.0}, {"twoLevel", true}}));
+  options.scenes.tracked = false;
+  EXPECT_TRUE(tracking().is_null());
+}
+
 TEST_F(SmallSet, HittingKeepsASizeAndPlacesForTheTestSplit) {
   options.scenes.set = "hitting";
   const SetSize size = set_size("hitting", true);
