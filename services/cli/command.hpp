@@ -23,6 +23,7 @@ std::vector<Command> add_run(CLI::App& root);
 std::vector<Command> add_enhance(CLI::App& root);
 std::vector<Command> add_dataset(CLI::App& root);
 std::vector<Command> add_export(CLI::App& root);
+std::vector<Command> add_body(CLI::App& root);
 std::vector<Command> add_eval(CLI::App& root);
 std::vector<Command> add_bench(CLI::App& root);
 
