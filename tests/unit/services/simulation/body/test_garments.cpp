@@ -1,0 +1,77 @@
+// The garments of deploy/garments that the shipped body wears.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <map>
+#include <utility>
+
+#include "common/mesh/obj.hpp"
+#include "services/simulation/body/character_file.hpp"
+#include "tests/support/cgal_judge.hpp"
+
+namespace pleat::body {
+namespace {
+
+struct Garment {
+  const char* name;
+  int vertices, boundary, euler;
+  int fine_vertices;  // after two rounds of splitting edges, or three
+  int rounds;
+};
+
+class WornGarments : public testing::TestWithParam<Garment> {};
+
+/// Vertices after rounds of splitting every edge: V + E, with E edges and F faces that grow with it.
+int refined_vertices(int vertices, int edges, int faces, int boundary, int rounds) {
+  for (int round = 0; round < rounds; ++round) {
+    vertices += edges;
+    edges = 2 * edges + 3 * faces;
+    faces *= 4;
+    boundary *= 2;
+  }
+  EXPECT_EQ(3 * faces + boundary, 2 * edges);
+  return vertices;
+}
+
+TEST_P(WornGarments, HaveThePapersTopologyAndEncloseTheBodyCleanly) {
+  const Garment& expected = GetParam();
+  const std::filesystem::path deploy = std::filesystem::path(std::getenv("PLEAT_SOURCE_DIR")) / "deploy";
+  const Topology garment = read_obj(deploy / "garments" / (std::string(expected.name) + ".obj"));
+  validate_material_coordinates(garment, expected.name);
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> edges;
+  for (Eigen::Index f = 0; f < garment.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) ++edges[std::minmax(garment.faces(f, k), garment.faces(f, (k + 1) % 3))];
+  const auto boundary = std::count_if(edges.begin(), edges.end(), [](const auto& edge) { return edge.second == 1; });
+  const int vertices = static_cast<int>(garment.vertex_count()), faces = static_cast<int>(garment.face_count());
+  EXPECT_EQ(vertices, expected.vertices);
+  EXPECT_EQ(boundary, expected.boundary);
+  EXPECT_EQ(vertices - static_cast<int>(edges.size()) + faces, expected.euler);
+  EXPECT_EQ(refined_vertices(vertices, static_cast<int>(edges.size()), faces, expected.boundary, expected.rounds),
+            expected.fine_vertices);
+
+  const SkinnedMesh body = *read_character_file(deploy / "bodies/young-female.glb").body;
+  ObstacleShape shape;
+  shape.name = "body";
+  shape.faces = body.mesh.faces;
+  ObstacleFrame frame;
+  frame.name = "body";
+  frame.positions = body.mesh.rest_positions;
+  const auto judgement = test::judge(garment.rest_positions, garment.faces, {&shape, 1}, {&frame, 1});
+  EXPECT_TRUE(judgement.clean()) << judgement.first;
+}
+
+INSTANTIATE_TEST_SUITE_P(Garments, WornGarments,
+                         testing::Values(Garment{"long-skirt", 1303, 175, 0, 19798, 2},
+                                         Garment{"t-shirt", 246, 60, -2, 14190, 3},
+                                         Garment{"trousers", 200, 32, -1, 11967, 3},
+                                         Garment{"skirt-219", 219, 60, 0, 12336, 3},
+                                         Garment{"skirt-127", 127, 47, 0, 6812, 3}),
+                         [](const auto& info) {
+                           std::string name = info.param.name;
+                           std::replace(name.begin(), name.end(), '-', '_');
+                           return name;
+                         });
+
+}  // namespace
+}  // namespace pleat::body
