@@ -1,11 +1,33 @@
 #include "services/simulation/body/animated_body.hpp"
 
 #include <algorithm>
+#include <limits>
+#include <utility>
 
 #include "common/base/error.hpp"
 #include "services/simulation/body/retarget.hpp"
 
 namespace pleat::body {
+namespace {
+
+double lowest_joint(const Skeleton& skeleton, const Pose& pose) {
+  double lowest = std::numeric_limits<double>::infinity();
+  for (const RigidTransform& joint : world_transforms(skeleton, pose)) lowest = std::min(lowest, joint.translation.y());
+  return lowest;
+}
+
+/// Lifts or lowers the whole motion: its lowest joint of all frames is as high as the lowest at rest.
+Motion on_the_floor(Motion motion) {
+  double lowest = std::numeric_limits<double>::infinity();
+  for (const Pose& pose : motion.frames) lowest = std::min(lowest, lowest_joint(motion.skeleton, pose));
+  const double lift = lowest_joint(motion.skeleton, rest_pose(motion.skeleton)) - lowest;
+  for (Pose& pose : motion.frames)
+    for (std::size_t j = 0; j < motion.skeleton.size(); ++j)
+      if (motion.skeleton.joints[j].parent < 0) pose.translations[j].y() += lift;
+  return motion;
+}
+
+}  // namespace
 
 Motion fit_motion(const Motion& motion, const Skeleton& body, const MotionOptions& options,
                   const std::string& motion_name, const std::string& body_name, std::vector<std::string>& notes) {
@@ -14,7 +36,7 @@ Motion fit_motion(const Motion& motion, const Skeleton& body, const MotionOption
   notes.insert(notes.end(), fitted.notes.begin(), fitted.notes.end());
   Motion result = options.mirrored ? mirror(fitted.motion) : std::move(fitted.motion);
   result = smooth(resample(result, options.frame_time_s, options.start_s), options.smoothing);
-  if (options.at_rest_place) result = start_at_rest(result);
+  if (options.at_rest_place) result = on_the_floor(start_at_rest(result));
   return ease_from_rest(result, options.ease_frames);
 }
 

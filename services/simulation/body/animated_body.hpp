@@ -16,7 +16,7 @@ struct MotionOptions {
   int ease_frames = 15;        ///< from the rest pose into the motion ([DT-S] 15, [MFSR] 80)
   int smoothing = 1;           ///< rounds of smooth()
   bool mirrored = false;
-  bool at_rest_place = true;  ///< start_at_rest()
+  bool at_rest_place = true;  ///< start_at_rest(), and the lowest joint of all frames as high as the lowest at rest
 };
 
 /// The motion for the body, in this order: retarget (which leaves a motion of the same skeleton as it is), mirror,
