@@ -261,8 +261,7 @@ double DisplacementImageError::mean_square_error(const Positions& coarse, const 
 
 MetricsAccumulator::MetricsAccumulator(const Topology& coarse, const Topology& fine,
                                        std::span<const std::uint32_t> feature_vertices,
-                                       const std::optional<ChannelRanges>& range, int coarse_width,
-                                       int coarse_height)
+                                       const std::optional<ChannelRanges>& range, int coarse_width, int coarse_height)
     : faces_(fine.faces),
       fine_vertices_(fine.vertex_count()),
       sted_(fine.vertex_count(), fine.faces),

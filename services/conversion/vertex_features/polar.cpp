@@ -1,5 +1,6 @@
 #include "services/conversion/vertex_features/polar.hpp"
 
+#include <Eigen/LU>
 #include <Eigen/SVD>
 
 namespace pleat {

@@ -261,9 +261,19 @@ TEST_F(SmallSet, RefusesAnotherDataSetsFolder) {
 TEST_F(SmallSet, AFailingSequenceIsNamed) {
   options.scenes.train = 1;
   options.scenes.test = 0;
-  // A folder where the recording should be.
-  std::filesystem::create_directories(sequence("draping-00").string() + ".partial.new");
+  // A folder where the sequence should be.
+  std::filesystem::create_directories(sequence("draping-00"));
   EXPECT_NE(code_of([&] { make(); }, "draping-00"), ErrorCode::kCancelled);
+}
+
+TEST_F(SmallSet, WhatIsInTheWayOfARecordingIsSetAside) {
+  options.scenes.train = 1;
+  options.scenes.test = 0;
+  const std::string partial = sequence("draping-00").string() + ".partial";
+  std::filesystem::create_directories(partial + "/mine");
+  make();
+  EXPECT_EQ(DatasetReader(options.folder).sequences().at(0).frames_complete, 5u);
+  EXPECT_TRUE(std::filesystem::is_directory(partial + ".aside-1/mine"));
 }
 
 TEST_F(SmallSet, HittingHasABall) {
