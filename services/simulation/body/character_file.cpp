@@ -174,13 +174,7 @@ class Reader {
         bound[joint] = true;
       }
     }
-    double unit = 1, factor = 1;
-    if (extension_ == ".fbx" && scene_.mMetaData != nullptr) {
-      float narrow = 1;
-      if (!scene_.mMetaData->Get("UnitScaleFactor", factor) && scene_.mMetaData->Get("UnitScaleFactor", narrow))
-        factor = static_cast<double>(narrow);
-      unit = 0.01 * factor;
-    }
+    double unit = 1;
     int head = -1, hips = -1;
     for (std::size_t j = 0; j < joints_.size(); ++j) {
       const std::string name = canonical_name(joints_.name(j));
@@ -344,8 +338,9 @@ CharacterFile read_character_file(const fs::path& path) {
   if (!fs::is_regular_file(path, failed)) throw_not_found(path.string() + ": no such file");
   if (fs::file_size(path, failed) > kMaxFileBytes)
     throw Error(ErrorCode::kResourceExhausted, path.string() + ": larger than 512 MiB");
+  if (lower_extension(path) == ".fbx")
+    throw_invalid_argument(path.string() + ": FBX is not read; export the character as glTF or Collada");
   Assimp::Importer importer;
-  importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_PRESERVE_PIVOTS, false);
   importer.SetPropertyBool(AI_CONFIG_IMPORT_NO_SKELETON_MESHES, true);
   const aiScene* scene = importer.ReadFile(path.string(), aiProcess_Triangulate);
   if (scene == nullptr || scene->mRootNode == nullptr) {

@@ -1,4 +1,4 @@
-// Characters and motions from the files of other tools: glTF/GLB, FBX, Collada and BVH through assimp.
+// Characters and motions from the files of other tools: glTF/GLB, Collada and BVH through assimp.
 #pragma once
 
 #include <filesystem>
@@ -21,7 +21,7 @@ struct CharacterFile {
 
 /// Reads a file. The rest pose is the bind pose; scales of nodes are applied, so that joints are rigid; the four
 /// strongest weights of a vertex stay; corners that differ in normals or texture only are one vertex again.
-/// Units and axes: what the format says (glTF: metres, Y up; Collada, FBX: in the file), and a body of the hundredfold
+/// Units and axes: what the format says (glTF: metres, Y up; Collada: in the file), and a body of the hundredfold
 /// size of a person is in centimetres; a figure whose head is above its hips along Z is turned. Notes say which.
 /// A motion keeps its file's rate of keys, and has at least 30 frames a second.
 /// Throws kNotFound, kInvalidArgument (not of a known format; a mesh that has no skeleton or vertices without weights;

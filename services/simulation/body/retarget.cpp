@@ -79,6 +79,14 @@ class Partners {
       of_target += bone(target_rest_, j, above).norm();
       of_source += bone(source_rest_, partner(j), partner(above)).norm();
     }
+    if (of_source <= kNoLength) {  // nothing is below the root: all bones that both have
+      for (std::size_t j = 0; j < target_.size(); ++j) {
+        const int above = of_target_[j] >= 0 ? ancestor(static_cast<int>(j)) : -1;
+        if (above < 0) continue;
+        of_target += bone(target_rest_, static_cast<int>(j), above).norm();
+        of_source += bone(source_rest_, of_target_[j], partner(above)).norm();
+      }
+    }
     return of_source > kNoLength ? of_target / of_source : 0;
   }
 
