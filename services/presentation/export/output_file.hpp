@@ -1,24 +1,22 @@
-// A file that appears under its name only when it is complete.
+// A file of numbers that appears under its name only when it is complete.
 #pragma once
 
 #include <bit>
 #include <cstdint>
-#include <filesystem>
-#include <fstream>
-#include <string_view>
+
+#include "common/base/hash.hpp"
+#include "common/base/whole_file.hpp"
 
 namespace pleat::presentation {
 
-/// Writes PATH.tmp; commit() renames it. Without commit() the destructor removes it.
-class OutputFile {
+class OutputFile : public WholeFile {
  public:
-  /// Throws kInvalidArgument if the file can't be made.
-  explicit OutputFile(std::filesystem::path path);
-  ~OutputFile();
-  OutputFile(const OutputFile&) = delete;
-  OutputFile& operator=(const OutputFile&) = delete;
+  using WholeFile::WholeFile;
 
-  void text(std::string_view characters);
+  void text(std::string_view bytes) {
+    write(bytes);
+    hash_.add(bytes);
+  }
 
   /// A float or 32-bit integer in the byte order asked for.
   template <class T>
@@ -26,17 +24,13 @@ class OutputFile {
     static_assert(sizeof(T) == 4);
     auto bits = std::bit_cast<std::uint32_t>(value);
     if (order != std::endian::native) bits = __builtin_bswap32(bits);
-    file_.write(reinterpret_cast<const char*>(&bits), sizeof bits);
+    text({reinterpret_cast<const char*>(&bits), sizeof bits});
   }
-
-  /// Throws kResourceExhausted if something could not be written.
-  void commit();
+  /// Of what was written so far.
+  std::string hash() const { return hash_.digits(); }
 
  private:
-  std::filesystem::path path_;
-  std::filesystem::path temporary_;
-  std::ofstream file_;
-  bool committed_ = false;
+  Fnv64 hash_;
 };
 
 }  // namespace pleat::presentation

@@ -4,6 +4,7 @@
 
 #include "common/base/error.hpp"
 #include "services/presentation/export/output_file.hpp"
+#include "services/presentation/export/own_export.hpp"
 #include "services/presentation/export/writers.hpp"
 
 namespace pleat::presentation {
@@ -26,8 +27,8 @@ std::int32_t count_for(const std::filesystem::path& path, std::size_t count, con
 void write_ply(const std::filesystem::path& path, const Topology& topology, const Positions& positions) {
   const Positions normals = vertex_normals(positions, topology.faces);
   OutputFile file(path);
-  file.text("ply\nformat binary_little_endian 1.0\ncomment metres, Y up\nelement vertex " +
-            std::to_string(positions.rows()) +
+  file.text("ply\nformat binary_little_endian 1.0\ncomment metres, Y up\n" + std::string(kPlyMark) +
+            "\nelement vertex " + std::to_string(positions.rows()) +
             "\nproperty float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\n"
             "property float nz\nelement face " +
             std::to_string(topology.face_count()) + "\nproperty list uchar uint vertex_indices\nend_header\n");
@@ -42,32 +43,28 @@ void write_ply(const std::filesystem::path& path, const Topology& topology, cons
   file.commit();
 }
 
-void write_pc2(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame) {
+void write_pc2(OutputFile& file, const ExportInput& input, const FrameSource& frame) {
   constexpr std::endian kOrder = std::endian::little;
   constexpr std::int32_t kVersion = 1;
   constexpr float kStartFrame = 0;
   constexpr float kSampleRate = 1;  // samples per frame
-  OutputFile file(path);
   file.text(std::string_view("POINTCACHE2\0", 12));
   file.number(kVersion, kOrder);
-  file.number(count_for(path, static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
+  file.number(count_for(file.path(), static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
   file.number(kStartFrame, kOrder);
   file.number(kSampleRate, kOrder);
-  file.number(count_for(path, input.frame_count, "frames"), kOrder);
+  file.number(count_for(file.path(), input.frame_count, "frames"), kOrder);
   for (std::size_t t = 0; t < input.frame_count; ++t) write_positions(file, frame(t), kOrder);
-  file.commit();
 }
 
-void write_mdd(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame) {
+void write_mdd(OutputFile& file, const ExportInput& input, const FrameSource& frame) {
   constexpr std::endian kOrder = std::endian::big;
-  OutputFile file(path);
-  file.number(count_for(path, input.frame_count, "frames"), kOrder);
-  file.number(count_for(path, static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
+  file.number(count_for(file.path(), input.frame_count, "frames"), kOrder);
+  file.number(count_for(file.path(), static_cast<std::size_t>(input.topology.vertex_count()), "vertices"), kOrder);
   for (std::size_t t = 0; t < input.frame_count; ++t) {
     file.number(static_cast<float>(static_cast<double>(t) * input.frame_time_s), kOrder);
   }
   for (std::size_t t = 0; t < input.frame_count; ++t) write_positions(file, frame(t), kOrder);
-  file.commit();
 }
 
 }  // namespace pleat::presentation

@@ -5,6 +5,7 @@
 #include <functional>
 
 #include "services/presentation/export/export.hpp"
+#include "services/presentation/export/output_file.hpp"
 
 namespace pleat::presentation {
 
@@ -12,8 +13,9 @@ namespace pleat::presentation {
 using FrameSource = std::function<Positions(std::size_t frame)>;
 
 void write_ply(const std::filesystem::path& path, const Topology& topology, const Positions& positions);
-void write_pc2(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
-void write_mdd(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
+/// The caller commits.
+void write_pc2(OutputFile& file, const ExportInput& input, const FrameSource& frame);
+void write_mdd(OutputFile& file, const ExportInput& input, const FrameSource& frame);
 void write_usda(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 
 }  // namespace pleat::presentation

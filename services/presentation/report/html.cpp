@@ -4,8 +4,8 @@
 #include <map>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 #include "services/presentation/report/encode.hpp"
-#include "services/presentation/report/files.hpp"
 #include "services/presentation/report/report.hpp"
 #include "services/presentation/report/upsampling.hpp"
 #include "services/presentation/report/viewer_template.hpp"
@@ -24,12 +24,6 @@ constexpr std::string_view kDataMarker = "<!-- PLEAT_DATA -->";
 struct Payload {
   json meta = json::object();
   std::map<std::string, std::string> blobs;  ///< name -> base64
-
-  std::size_t bytes() const {
-    std::size_t sum = 0;
-    for (const auto& [name, text] : blobs) sum += text.size();
-    return sum;
-  }
 };
 
 std::string escape_html(const std::string& text) {
@@ -182,11 +176,15 @@ void write_report_html(const ReportInput& input, const std::filesystem::path& pa
   const double least_bytes = 6.0 * vertices * static_cast<double>(input.frame_count) / 5 * 4 / 3;
   auto stride =
       static_cast<std::size_t>(std::max(1.0, std::ceil(least_bytes / static_cast<double>(options.max_bytes))));
-  const std::size_t fixed_bytes = viewer_template().size() + 1000 * input.stages.size();
-  constexpr std::size_t kTagBytes = 100;  // around a blob, with its name
+  const std::string shell = replace_once(viewer_template(), kTitleMarker, escape_html(input.summary.title));
   for (;;) {
     const Payload payload = make_payload(input, report, stride);
-    const std::size_t bytes = payload.bytes() + fixed_bytes + kTagBytes * payload.blobs.size();
+    std::string data =
+        "<script type=\"application/json\" id=\"pleat-meta\">" + script_safe(payload.meta) + "</script>\n";
+    for (const auto& [name, text] : payload.blobs) {
+      data += "<script type=\"application/octet-stream\" id=\"pleat-" + name + "\">" + text + "</script>\n";
+    }
+    const std::size_t bytes = shell.size() + data.size();
     if (bytes > options.max_bytes) {
       if (stride >= input.frame_count) {
         throw Error(ErrorCode::kResourceExhausted, path.string() + ": one frame alone needs " + std::to_string(bytes) +
@@ -197,13 +195,7 @@ void write_report_html(const ReportInput& input, const std::filesystem::path& pa
                         std::max(stride + 1, static_cast<std::size_t>(static_cast<double>(stride) * ratio)));
       continue;
     }
-    std::string data =
-        "<script type=\"application/json\" id=\"pleat-meta\">" + script_safe(payload.meta) + "</script>\n";
-    for (const auto& [name, text] : payload.blobs) {
-      data += "<script type=\"application/octet-stream\" id=\"pleat-" + name + "\">" + text + "</script>\n";
-    }
-    const std::string page = replace_once(viewer_template(), kTitleMarker, escape_html(input.summary.title));
-    write_file_atomically(path, replace_once(page, kDataMarker, data));
+    write_whole_file(path, replace_once(shell, kDataMarker, data));
     return;
   }
 }

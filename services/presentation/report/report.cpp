@@ -9,10 +9,10 @@
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/whole_file.hpp"
 #include "common/mesh/wrinkles.hpp"
 #include "common/store/result.hpp"
 #include "services/presentation/report/capsule_surface.hpp"
-#include "services/presentation/report/files.hpp"
 #include "services/presentation/report/upsampling.hpp"
 
 namespace pleat::presentation {
@@ -190,7 +190,7 @@ nlohmann::json make_report_json(const ReportInput& input) {
 }
 
 void write_report_json(const ReportInput& input, const std::filesystem::path& path) {
-  write_file_atomically(path, make_report_json(input).dump(2) + "\n");
+  write_whole_file(path, make_report_json(input).dump(2) + "\n");
 }
 
 }  // namespace pleat::presentation
