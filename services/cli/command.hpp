@@ -14,6 +14,7 @@ namespace pleat::cli {
 inline constexpr int kExitDone = 0;
 inline constexpr int kExitFailed = 1;
 inline constexpr int kExitWrongInput = 2;
+inline constexpr int kExitNotClean = 3;  ///< the result is there, with penetrations or self-intersections
 
 /// A command that was added. `run` returns an exit code or throws pleat::Error.
 struct Command {
