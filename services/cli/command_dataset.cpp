@@ -13,8 +13,8 @@ namespace {
 
 struct GenerateChoice {
   std::string folder, set = "draping", scale = "small", fine = "tracked";
-  std::string garment = "deploy/garments/tablecloth.obj", material = "deploy/materials/gray-interlock.json";
-  int frames = 0, train = -1, test = -1, extra = 0, workers = 0;
+  std::string garment, material = "deploy/materials/gray-interlock.json";
+  int frames = 0, rounds = 0, train = -1, test = -1, extra = 0, workers = 0;
   std::uint64_t seed = 1;
   bool deflate = true;
 };
@@ -32,7 +32,8 @@ int generate(const GenerateChoice& choice) {
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
   options.scenes.seed = choice.seed;
   options.scenes.tracked = choice.fine == "tracked";
-  options.scenes.garment = choice.garment;
+  options.scenes.rounds = choice.rounds;
+  options.scenes.garment = choice.garment.empty() ? "deploy/" + dataset::default_garment(choice.set) : choice.garment;
   options.scenes.material = choice.material;
   options.workers = choice.workers;
   options.deflate = choice.deflate;
@@ -78,23 +79,30 @@ std::vector<Command> add_dataset(CLI::App& root) {
   CLI::App* make = app->add_subcommand("generate", "simulate what is missing of a data set; resumes");
   const auto choice = std::make_shared<GenerateChoice>();
   make->add_option("folder", choice->folder, "folder of the data set")->required();
-  make->add_option("--set", choice->set, "scenes")->capture_default_str()->check(CLI::IsMember({"draping", "hitting"}));
+  make->add_option("--set", choice->set, "scenes")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"draping", "hitting", "sheet", "disk"}));
   make->add_option("--scale", choice->scale,
-                   "frames a sequence; small: 150, full: the paper's 400 (draping) or 1,000 (hitting)")
+                   "frames a sequence; small: 150 or 60, full: the papers' 400 (draping), 1,000 (hitting) or 200")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
-  make->add_option("--fine", choice->fine, "the fine cloth follows the coarse one, or goes its own way")
+  make->add_option("--rounds", choice->rounds,
+                   "2, 3 or 4: 16, 64 or 256 fine faces for each coarse one (default: 2; sheet, disk: 3)")
+      ->check(positive_number());
+  make->add_option("--fine", choice->fine,
+                   "the fine cloth follows the coarse one, or goes its own way (sheet, disk: always)")
       ->capture_default_str()
       ->check(CLI::IsMember({"tracked", "free"}));
   make->add_option("--frames", choice->frames, "frames a sequence, instead of the scale's")->check(positive_number());
-  make->add_option("--train", choice->train, "sequences for training (default: 10 or 27)")->check(natural_number());
-  make->add_option("--test", choice->test, "sequences for testing (default: 3 or 8)")->check(natural_number());
+  make->add_option("--train", choice->train, "sequences for training (default: 10, 27, 16 or 8)")
+      ->check(natural_number());
+  make->add_option("--test", choice->test, "sequences for testing (default: 3, 8, 4 or 2)")->check(natural_number());
   make->add_option("--extra", choice->extra, "further sequences for training, behind the others, which stay the same")
       ->capture_default_str()
       ->check(natural_number());
   make->add_option("--seed", choice->seed, "seed of the scenes")->capture_default_str()->check(natural_number());
   make->add_option("--workers", choice->workers, "processes (default: one a processor)")->check(positive_number());
-  make->add_option("--garment", choice->garment, "coarse garment, OBJ")->capture_default_str();
+  make->add_option("--garment", choice->garment, "coarse garment, OBJ (default: the set's own)");
   make->add_option("--material", choice->material, "material, ARCSim JSON")->capture_default_str();
   make->add_flag("--deflate,!--no-deflate", choice->deflate, "compress finished sequences (default: yes)");
 

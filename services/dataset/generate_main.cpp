@@ -14,8 +14,8 @@ using pleat::dataset::GenerateOptions;
 using pleat::dataset::Progress;
 
 constexpr const char* kUsage =
-    "usage: pleat-generate FOLDER [--set draping|hitting] [--scale small|full] [--frames N] [--train N] [--test N] "
-    "[--extra N]\n"
+    "usage: pleat-generate FOLDER [--set draping|hitting|sheet|disk] [--rounds N] [--scale small|full] [--frames N]\n"
+    "                      [--train N] [--test N] [--extra N]\n"
     "                      [--seed N] [--workers N] [--garment OBJ] [--material JSON] [--revision TEXT] "
     "[--fine tracked|free] [--no-deflate]\n"
     "       pleat-generate --info FOLDER\n"
@@ -59,7 +59,6 @@ int verify(const std::string& folder, int stride) {
 
 int run(const std::vector<std::string>& arguments) {
   GenerateOptions options;
-  options.scenes.garment = "deploy/garments/tablecloth.obj";
   options.scenes.material = "deploy/materials/gray-interlock.json";
   std::string mode = "generate", folder;
   int stride = 1;
@@ -94,6 +93,8 @@ int run(const std::vector<std::string>& arguments) {
       test = to_number(flag, value());
     } else if (flag == "--extra") {
       options.scenes.extra = to_number(flag, value());
+    } else if (flag == "--rounds") {
+      options.scenes.rounds = to_number(flag, value());
     } else if (flag == "--seed") {
       options.scenes.seed = static_cast<std::uint64_t>(to_number(flag, value()));
     } else if (flag == "--workers") {
@@ -123,6 +124,9 @@ int run(const std::vector<std::string>& arguments) {
     return 0;
   }
   options.folder = folder;
+  if (options.scenes.garment.empty()) {
+    options.scenes.garment = "deploy/" + pleat::dataset::default_garment(options.scenes.set);
+  }
   const pleat::dataset::SetSize size = pleat::dataset::set_size(options.scenes.set, full);
   options.scenes.frames = frames > 0 ? frames : size.frames;
   options.scenes.train = train >= 0 ? train : size.train;

@@ -1,64 +1,17 @@
 #include "services/dataset/scenes.hpp"
 
-#include <Eigen/Geometry>
 #include <algorithm>
-#include <cmath>
-#include <nlohmann/json.hpp>
-#include <numbers>
-#include <random>
 
 #include "common/base/error.hpp"
-#include "common/mesh/connectivity.hpp"
 #include "common/mesh/obj.hpp"
+#include "services/dataset/flat_sets.hpp"
+#include "services/dataset/placement.hpp"
+#include "services/dataset/random.hpp"
 
 namespace pleat::dataset {
 namespace {
 
 constexpr int kMostSequences = 10'000;
-constexpr double kDegree = std::numbers::pi / 180;
-
-/// Equal on every platform, unlike the standard distributions.
-class Random {
- public:
-  explicit Random(std::uint64_t seed) : engine_(seed) {}
-  double uniform(double low, double high) {
-    return low + (high - low) * static_cast<double>(engine_() >> 11) * 0x1.0p-53;
-  }
-  std::size_t below(std::size_t count) { return static_cast<std::size_t>(uniform(0, static_cast<double>(count))); }
-
- private:
-  std::mt19937_64 engine_;
-};
-
-/// Boundary vertices within a hundredth of the cloth's size of its upper edge (the smallest z of the flat rest shape,
-/// which becomes the top when the cloth is tilted about x), ordered along x.
-std::vector<std::uint32_t> upper_edge(const Topology& cloth) {
-  const Connectivity connectivity = build_connectivity(cloth.vertex_count(), cloth.faces);
-  std::vector<char> boundary(static_cast<std::size_t>(cloth.vertex_count()), 0);
-  for (const Edge& edge : connectivity.edges) {
-    if (edge.f1 == kNone) boundary[edge.v0] = boundary[edge.v1] = 1;
-  }
-  const float top = cloth.rest_positions.col(2).minCoeff();
-  const float size = cloth.rest_positions.col(2).maxCoeff() - top;
-  std::vector<std::uint32_t> vertices;
-  for (Eigen::Index v = 0; v < cloth.vertex_count(); ++v) {
-    if (boundary[static_cast<std::size_t>(v)] != 0 && cloth.rest_positions(v, 2) < top + 0.01f * size) {
-      vertices.push_back(static_cast<std::uint32_t>(v));
-    }
-  }
-  std::sort(vertices.begin(), vertices.end(),
-            [&](std::uint32_t a, std::uint32_t b) { return cloth.rest_positions(a, 0) < cloth.rest_positions(b, 0); });
-  return vertices;
-}
-
-/// First `pitch` about x (the upper edge rises), then `roll` about z and `yaw` about y.
-Eigen::Vector3d tilt(double pitch_deg, double roll_deg, double yaw_deg) {
-  const Eigen::Quaterniond rotation = Eigen::AngleAxisd(yaw_deg * kDegree, Eigen::Vector3d::UnitY()) *
-                                      Eigen::AngleAxisd(roll_deg * kDegree, Eigen::Vector3d::UnitZ()) *
-                                      Eigen::AngleAxisd(pitch_deg * kDegree, Eigen::Vector3d::UnitX());
-  const Eigen::AngleAxisd axis_angle(rotation);
-  return axis_angle.angle() * axis_angle.axis();
-}
 
 simulation::Scene draping_scene(const Topology& cloth, std::uint32_t held, Random& random) {
   simulation::Scene scene;
@@ -116,13 +69,19 @@ simulation::Scene hitting_scene(const Topology& cloth, const std::vector<std::ui
   return scene;
 }
 
-nlohmann::json to_array(const Eigen::Vector3d& vector) { return {vector.x(), vector.y(), vector.z()}; }
-
 }  // namespace
 
 SetSize set_size(const std::string& set, bool full) {
   if (set == "hitting") return {27, 8, full ? 1000 : 150};
+  if (set == "sheet") return {16, 4, full ? 200 : 60};
+  if (set == "disk") return {8, 2, full ? 200 : 60};
   return {10, 3, full ? 400 : 150};
+}
+
+bool is_free_set(const std::string& set) { return set == "sheet" || set == "disk"; }
+
+std::string default_garment(const std::string& set) {
+  return is_free_set(set) ? "garments/" + set + ".obj" : "garments/tablecloth.obj";
 }
 
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
@@ -133,8 +92,8 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
     throw_invalid_argument("data set: at least one sequence is needed");
   }
   if (options.frames < 2) throw_invalid_argument("data set: at least 2 frames per sequence are needed");
-  if (options.set != "draping" && options.set != "hitting") {
-    throw_invalid_argument("data set '" + options.set + "' is unknown; there are draping and hitting");
+  if (options.set != "draping" && options.set != "hitting" && !is_free_set(options.set)) {
+    throw_invalid_argument("data set '" + options.set + "' is unknown; there are draping, hitting, sheet and disk");
   }
   const Topology cloth = read_obj(options.garment);
   validate_material_coordinates(cloth, options.garment.string());
@@ -158,6 +117,8 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
     throw_invalid_argument("data set: the test split holds every vertex of the upper edge");
   }
 
+  const int usual = is_free_set(options.set) ? 3 : simulation::Scene().subdivision_rounds;
+  const int rounds = options.rounds > 0 ? options.rounds : usual;
   std::vector<SequencePlan> plans;
   for (std::size_t i = 0; i < all; ++i) {
     SequencePlan plan;
@@ -166,52 +127,26 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
     plan.split = test ? "test" : "train";
     const std::string number = std::to_string(i);
     plan.name = options.set + "-" + std::string(number.size() < 2 ? 1 : 0, '0') + number;
-    const double frame_time = simulation::Scene().frame_time_s;
-    plan.scene = options.set == "draping"
-                     ? draping_scene(cloth, i < count ? edge[i] : others[in_split % others.size()], random)
-                     : hitting_scene(cloth, ordered_edge, options.frames * frame_time, in_split, test, random);
+    const double duration = options.frames * simulation::Scene().frame_time_s;
+    if (options.set == "draping") {
+      plan.scene = draping_scene(cloth, i < count ? edge[i] : others[in_split % others.size()], random);
+    } else if (options.set == "hitting") {
+      plan.scene = hitting_scene(cloth, ordered_edge, duration, in_split, test, random);
+    } else if (options.set == "sheet") {
+      plan.scene = sheet_scene(cloth, duration, i, random);
+    } else {
+      plan.scene = disk_scene(cloth, i, random);
+    }
     plan.scene.name = plan.name;
     plan.scene.material = material;
     plan.scene.frames = options.frames;
     plan.scene.seed = options.seed;
-    plan.tracked = options.tracked;
+    plan.scene.subdivision_rounds = rounds;
+    plan.tracked = options.tracked && !is_free_set(options.set);
     plan.scene_json = scene_to_json(plan.scene, options.garment, options.material);
     plans.push_back(std::move(plan));
   }
   return plans;
-}
-
-std::string scene_to_json(const simulation::Scene& scene, const std::filesystem::path& garment,
-                          const std::filesystem::path& material) {
-  nlohmann::ordered_json json;
-  json["name"] = scene.name;
-  json["garmentFile"] = "../garments/" + garment.filename().string();
-  nlohmann::ordered_json placement;
-  placement["translation"] = to_array(scene.transform.translation);
-  const double angle = scene.transform.rotation.norm();
-  if (angle > 0) {
-    placement["axis"] = to_array(scene.transform.rotation / angle);
-    placement["angleDeg"] = angle / kDegree;
-  }
-  json["placement"] = placement;
-  json["materialFile"] = "../materials/" + material.filename().string();
-  json["frameTimeS"] = scene.frame_time_s;
-  json["stepsPerFrame"] = scene.steps_per_frame;
-  json["frames"] = scene.frames;
-  json["seed"] = std::to_string(scene.seed);  // 64-bit integers are strings in protobuf's JSON form
-  for (const simulation::Handle& handle : scene.handles) {
-    json["handles"].push_back({{"vertices", handle.vertices}, {"hard", handle.hard}});
-  }
-  for (const simulation::Obstacle& obstacle : scene.obstacles) {
-    nlohmann::ordered_json entry;
-    entry["name"] = obstacle.name;
-    entry["sphere"] = {{"center", to_array(obstacle.center)}, {"radius", obstacle.radius}};
-    for (const simulation::KeyFrame& key : obstacle.motion.keys) {
-      entry["motion"].push_back({{"timeS", key.time_s}, {"translation", to_array(key.translation)}});
-    }
-    json["obstacles"].push_back(entry);
-  }
-  return json.dump();
 }
 
 }  // namespace pleat::dataset
