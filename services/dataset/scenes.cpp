@@ -175,6 +175,7 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
     plan.scene.frames = options.frames;
     plan.scene.seed = options.seed;
     plan.tracked = options.tracked;
+    if (!plan.tracked) plan.scene.tracking.frequency = 0;
     plan.scene_json = scene_to_json(plan.scene, options.garment, options.material);
     plans.push_back(std::move(plan));
   }
@@ -199,6 +200,7 @@ std::string scene_to_json(const simulation::Scene& scene, const std::filesystem:
   json["stepsPerFrame"] = scene.steps_per_frame;
   json["frames"] = scene.frames;
   json["seed"] = std::to_string(scene.seed);  // 64-bit integers are strings in protobuf's JSON form
+  if (scene.tracking.frequency > 0) json["tracking"]["frequency"] = scene.tracking.frequency;
   for (const simulation::Handle& handle : scene.handles) {
     json["handles"].push_back({{"vertices", handle.vertices}, {"hard", handle.hard}});
   }

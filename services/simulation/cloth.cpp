@@ -114,11 +114,11 @@ Points Cloth::obstacle_targets(double time_s, double step_s) const {
   return targets;
 }
 
-void Cloth::step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool) {
-  advance(time_s, step_s, springs, pool, 0);
+void Cloth::step(double time_s, double step_s, const Following& following, ThreadPool& pool) {
+  advance(time_s, step_s, following, pool, 0);
 }
 
-void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool, int halvings) {
+void Cloth::advance(double time_s, double step_s, const Following& following, ThreadPool& pool, int halvings) {
   const auto start = Clock::now();
   if (stopped_ && stopped_()) throw Error(ErrorCode::kCancelled, "cancelled");
   collect_pins(time_s, step_s);
@@ -126,7 +126,7 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
   for (const Pin& pin : pins_) {
     if (pin.hard) inverse_masses_[pin.vertex] = 0;
   }
-  pins_.insert(pins_.end(), springs.begin(), springs.end());
+  pins_.insert(pins_.end(), following.springs.begin(), following.springs.end());
 
   const Points obstacles = obstacle_targets(time_s, step_s);
   for (std::size_t o = 0; o < obstacles.size(); ++o) {
@@ -143,6 +143,8 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
   step.wind = scene_.wind;
   step.pins = pins_;
   step.contacts = forces;
+  step.frequency = following.frequency;
+  step.targets = following.targets;
   const Points velocities_before = velocities_;
   report_.solver_iterations += static_cast<std::uint64_t>(dynamics_.solve(positions_, velocities_, step, pool));
   const auto solve_done = Clock::now();
@@ -162,8 +164,8 @@ void Cloth::advance(double time_s, double step_s, std::span<const Pin> springs, 
                                                       std::to_string(1e3 * step_s) + " ms; its forces are too strong");
     }
     ++report_.cut_steps;
-    advance(time_s, step_s / 2, springs, pool, halvings + 1);
-    advance(time_s + step_s / 2, step_s / 2, springs, pool, halvings + 1);
+    advance(time_s, step_s / 2, following, pool, halvings + 1);
+    advance(time_s + step_s / 2, step_s / 2, following, pool, halvings + 1);
     return;
   }
   for (std::size_t o = 0; o < obstacles.size(); ++o) end[vertex_count() + o] = obstacles[o];

@@ -31,6 +31,13 @@ struct ClothReport {
   double total_ms = 0, assembly_ms = 0, solve_ms = 0, contact_ms = 0;
 };
 
+/// What a step is held to besides its handles, at its end.
+struct Following {
+  std::span<const Pin> springs = {};
+  double frequency = 0;                           ///< rad/s: of averages, to those of the targets
+  std::span<const Eigen::Vector3d> targets = {};  ///< (V) m; read if there is a frequency
+};
+
 /// `scene` must outlive it.
 class Cloth {
  public:
@@ -42,15 +49,20 @@ class Cloth {
   /// Tells how the mesh was subdivided: the linear solver uses the levels.
   void use_levels(const Subdivision& subdivision) { dynamics_.use_levels(subdivision); }
 
+  /// Lets steps follow averages.
+  void track_averages(const Subdivision& subdivision, const Faces& coarse_faces) {
+    dynamics_.track_averages(subdivision, coarse_faces);
+  }
+
   /// Throws kInvalidArgument unless the initial state is clean.
   void check_start(ThreadPool& pool);
 
   /// Before the first step: relaxes an initial state that is not clean, as far as it goes (untangle.hpp).
   void untangle(ThreadPool& pool) { simulation::untangle(contact_, positions_, pool); }
 
-  /// Advances from `time_s` by one step. `springs` are added to the handles. A step that turns out too large for the
-  /// forces is made in halves, and counted as cut; kFailedPrecondition if even the smallest ones diverge.
-  void step(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool);
+  /// Advances from `time_s` by one step. A step that turns out too large for the forces is made in halves, and counted
+  /// as cut; kFailedPrecondition if even the smallest ones diverge.
+  void step(double time_s, double step_s, const Following& following, ThreadPool& pool);
 
   /// step() asks now and then, and throws kCancelled when the answer is yes. The state is of no use after that.
   void stop_when(const std::function<bool()>& stopped) {
@@ -85,7 +97,7 @@ class Cloth {
  private:
   Points obstacle_targets(double time_s, double step_s) const;
   void collect_pins(double time_s, double step_s);
-  void advance(double time_s, double step_s, std::span<const Pin> springs, ThreadPool& pool, int halvings);
+  void advance(double time_s, double step_s, const Following& following, ThreadPool& pool, int halvings);
 
   const Scene& scene_;
   std::function<bool()> stopped_;

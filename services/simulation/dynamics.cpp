@@ -251,6 +251,12 @@ void Dynamics::build_pattern() {
 
 void Dynamics::use_levels(const Subdivision& subdivision) {
   multilevel_ = Multilevel(subdivision.level_sizes, subdivision.halved_edges, place_, pairs_, matrix_);
+  if (!averages_.empty()) multilevel_.add_averages(averages_);
+}
+
+void Dynamics::track_averages(const Subdivision& subdivision, const Faces& coarse_faces) {
+  averages_ = Averages(subdivision, coarse_faces, masses_, place_);
+  multilevel_.add_averages(averages_);
 }
 
 Points Dynamics::internal_forces(const Points& x) const {
@@ -407,6 +413,8 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
   }
 
   for (std::size_t k = 0; k < 9 * vertex_count(); ++k) inverse_diagonal_[k] = matrix_.diagonal(0)[k];
+  averages_scale_ = averages_.empty() ? 0 : static_cast<float>(std::pow(step.frequency * step.length_s, 2));
+  if (averages_scale_ > 0) add_averages(step, pool);
   contacts_.assign(step.contacts.begin(), step.contacts.end());
   for (ContactForce& contact : contacts_) {
     for (std::uint32_t& vertex : contact.vertices) {
@@ -429,6 +437,25 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
       float inverse[9];
       invert_block(inverse_diagonal_.data() + 9 * i, inverse);
       std::copy(inverse, inverse + 9, inverse_diagonal_.data() + 9 * i);
+    }
+  });
+}
+
+// The force at the end of the step, as springs have it: h omega^2 times the pull of target - x - h v.
+void Dynamics::add_averages(const Step& step, ThreadPool& pool) {
+  pool.parallel_for(vertex_count(), 4 * kVertexGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const Vector3d& target = step.targets[vertex_at_[i]];
+      positions_[i] = Double4{target.x(), target.y(), target.z(), 0} - positions_[i] - step.length_s * velocities_[i];
+    }
+  });
+  averages_.gather(positions_, pool);
+  const auto scale = static_cast<float>(step.length_s * step.frequency * step.frequency);
+  pool.parallel_for(vertex_count(), kVertexGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      right_side_[i] += scale * averages_.pull_at(i);
+      float* diagonal = inverse_diagonal_.data() + 9 * i;
+      for (int k = 0; k < 3; ++k) diagonal[4 * k] += averages_scale_ * averages_.diagonal(i);
     }
   });
 }
@@ -463,10 +490,16 @@ int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
     return energy;
   };
 
+  const auto multiply_row = [&](std::size_t i, const std::vector<Float4>& y) {
+    if (fixed_[i]) return Float4{};
+    const Float4 row = matrix_.multiply_row(i, y.data());
+    return averages_scale_ > 0 ? row + averages_scale_ * averages_.pull_at(i) : row;
+  };
+
   // The start: last step's change (prescribed values at fixed vertices). Residual r = b - A x.
+  if (averages_scale_ > 0) averages_.gather(change_, pool);
   pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i)
-      product_[i] = fixed_[i] ? Float4{} : matrix_.multiply_row(i, change_.data());
+    for (std::size_t i = begin; i < end; ++i) product_[i] = multiply_row(i, change_);
   });
   add_contacts(change_, product_);
   pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
@@ -500,7 +533,7 @@ int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
     });
   };
   if (!multilevel_.empty()) {
-    multilevel_.update(matrix_, pool);
+    multilevel_.update(matrix_, averages_scale_, pool);
     correct(direction_);
   }
   double rz = total(partial);
@@ -508,10 +541,11 @@ int Dynamics::conjugate_gradients(const Step& step, ThreadPool& pool) {
 
   int iteration = 0;
   for (; iteration < step.max_iterations && rz > target; ++iteration) {
+    if (averages_scale_ > 0) averages_.gather(direction_, pool);
     pool.parallel_for(n, kVertexGrain, [&](std::size_t begin, std::size_t end) {
       double sum = 0;
       for (std::size_t i = begin; i < end; ++i) {
-        product_[i] = fixed_[i] ? Float4{} : matrix_.multiply_row(i, direction_.data());
+        product_[i] = multiply_row(i, direction_);
         sum += dot(product_[i], direction_[i]);
       }
       partial[begin / kVertexGrain] = sum;
@@ -553,6 +587,7 @@ void Dynamics::correct_translation(const Step& step) {
   const double h = step.length_s;
   Eigen::Matrix3d sum = Eigen::Matrix3d::Identity() * std::accumulate(masses_.begin(), masses_.end(), 0.0);
   for (const Pin& pin : step.pins) sum.diagonal().array() += h * h * pin.stiffness;
+  sum.diagonal().array() += static_cast<double>(averages_scale_) * averages_.total_mass();
   for (const ContactForce& contact : contacts_) {
     float weight = 0;
     for (std::size_t k = 0; k < 4; ++k) weight += contact.vertices[k] == kNone ? 0 : contact.weights[k];

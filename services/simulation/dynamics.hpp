@@ -9,6 +9,7 @@
 
 #include "common/base/parallel.hpp"
 #include "common/mesh/subdivision.hpp"
+#include "services/simulation/averages.hpp"
 #include "services/simulation/block_matrix.hpp"
 #include "services/simulation/element_packs.hpp"
 #include "services/simulation/elements.hpp"
@@ -50,6 +51,9 @@ class Dynamics {
   /// Tells how the mesh was subdivided, which makes the linear solver need far fewer iterations.
   void use_levels(const Subdivision& subdivision);
 
+  /// Lets steps hold the averages over the hats of a subdivided mesh's coarse vertices (Step::frequency).
+  void track_averages(const Subdivision& subdivision, const Faces& coarse_faces);
+
   std::size_t vertex_count() const { return masses_.size(); }
   const std::vector<double>& masses() const { return masses_; }  ///< kg per vertex, lumped
   const std::vector<double>& areas() const { return areas_; }    ///< m^2 per vertex, a third of its faces
@@ -65,6 +69,8 @@ class Dynamics {
     Wind wind;
     std::span<const Pin> pins;
     std::span<const ContactForce> contacts;
+    double frequency = 0;                      ///< rad/s, with which averages are held to those of the targets
+    std::span<const Eigen::Vector3d> targets;  ///< (V) m, at the end of the step; read if there is a frequency
     double tolerance = 3e-3;  ///< of the preconditioned residual, relative to that of the right-hand side
     int max_iterations = 400;
   };
@@ -102,6 +108,7 @@ class Dynamics {
   void assemble(const Points& positions, const Points& velocities, const Step& step, ThreadPool& pool);
   int conjugate_gradients(const Step& step, ThreadPool& pool);
   void correct_translation(const Step& step);
+  void add_averages(const Step& step, ThreadPool& pool);
 
   std::uint32_t face_slot(std::size_t face) const;
 
@@ -117,6 +124,8 @@ class Dynamics {
 
   BlockMatrix matrix_;
   Multilevel multilevel_;
+  Averages averages_;
+  float averages_scale_ = 0;  // of the step: h^2 omega^2, 0 without averages
   std::vector<std::pair<std::uint32_t, std::uint32_t>> pairs_;
   // What a pair's off-diagonal block gathers: from faces, blocks at an offset into face_records_ (and in another list
   // those to be transposed), from hinges, two gradients at offsets into hinge_records_.

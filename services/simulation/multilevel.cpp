@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <utility>
 
 namespace pleat::simulation {
 namespace {
@@ -91,7 +92,45 @@ Multilevel::Multilevel(std::span<const std::uint32_t> level_sizes, std::span<con
   }
 }
 
-void Multilevel::update(const BlockMatrix& matrix, ThreadPool& pool) {
+void Multilevel::add_averages(const Averages& averages) {
+  if (levels_.empty()) return;
+  const Level& finest = levels_.back();
+  std::vector<std::uint32_t> vertex_at(finest.next_size);
+  for (std::uint32_t v = 0; v < finest.next_size; ++v) vertex_at[finest.places[v]] = v;
+  for (Level& level : levels_) level.averages.assign(level.size, 0);
+  // P^T phi_v, level by level: entries at vertices, those of the coarser level remain.
+  std::vector<double> restricted(finest.next_size, 0);
+  std::vector<std::uint32_t> entries, coarser;
+  for (std::size_t v = 0; v < averages.count(); ++v) {
+    entries.clear();
+    const auto add = [&](std::vector<std::uint32_t>& list, std::uint32_t vertex, double weight) {
+      if (restricted[vertex] == 0) list.push_back(vertex);
+      restricted[vertex] += weight;
+    };
+    for (const auto& [place, weight] : averages.weights(v)) {
+      add(entries, vertex_at[place], static_cast<double>(weight));
+    }
+    for (std::size_t l = levels_.size(); l-- > 0;) {
+      Level& level = levels_[l];
+      coarser.clear();
+      for (const std::uint32_t vertex : entries) {
+        if (vertex < level.size) coarser.push_back(vertex);
+      }
+      for (const std::uint32_t vertex : entries) {
+        if (vertex < level.size) continue;
+        const double half = std::exchange(restricted[vertex], 0) / 2;
+        for (const std::uint32_t end : ends_[vertex]) add(coarser, end, half);
+      }
+      for (const std::uint32_t vertex : coarser) {
+        level.averages[vertex] += static_cast<float>(averages.mass(v) * restricted[vertex] * restricted[vertex]);
+      }
+      entries.swap(coarser);
+    }
+    for (const std::uint32_t vertex : entries) restricted[vertex] = 0;
+  }
+}
+
+void Multilevel::update(const BlockMatrix& matrix, float averages_scale, ThreadPool& pool) {
   for (Level& level : levels_) {
     pool.parallel_for(level.size, kVertexGrain / 4, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) {
@@ -107,6 +146,9 @@ void Multilevel::update(const BlockMatrix& matrix, ThreadPool& pool) {
         float sum[9];
         for (int column = 0; column < 3; ++column) {
           for (int row = 0; row < 3; ++row) sum[3 * column + row] = c[column][row] + t[column][row] + t[row][column];
+        }
+        if (!level.averages.empty()) {
+          for (int k = 0; k < 3; ++k) sum[4 * k] += averages_scale * level.averages[i];
         }
         float inverse[9];
         invert_block(sum, inverse);

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/base/parallel.hpp"
+#include "services/simulation/averages.hpp"
 #include "services/simulation/block_matrix.hpp"
 
 namespace pleat::simulation {
@@ -26,8 +27,11 @@ class Multilevel {
              const BlockMatrix& matrix);
 
   bool empty() const { return levels_.empty(); }
-  /// The matrix has new values. O(its blocks) per level.
-  void update(const BlockMatrix& matrix, ThreadPool& pool);
+  /// A will have a multiple of the averages' Hessian besides the matrix: update() adds its diagonals.
+  void add_averages(const Averages& averages);
+  /// The matrix has new values; averages_scale: what the Hessian of the averages over omega^2 is multiplied with.
+  /// O(the matrix's blocks) per level.
+  void update(const BlockMatrix& matrix, float averages_scale, ThreadPool& pool);
   /// fixed: vertices whose z stays; their r must be 0.
   void add_corrections(std::span<const Float4> r, std::span<const char> fixed, std::span<Float4> z, ThreadPool& pool);
 
@@ -46,6 +50,7 @@ class Multilevel {
     std::vector<std::uint32_t> diagonal_begin, pair_begin;
     std::vector<Term> diagonal_terms, pair_terms;
     std::vector<float> inverse;
+    std::vector<float> averages;  // diagonal of P^T H P over omega^2, empty without averages
     std::vector<Float4> residual, correction;
   };
 

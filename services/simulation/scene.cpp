@@ -125,6 +125,28 @@ Vector3d interpolate(const std::vector<KeyFrame>& keys, double time_s, const Get
          (3 * t2 - 2 * t3) * get(keys[i + 1]) + (t3 - t2) * length * tangent(keys, i + 1, get);
 }
 
+// Beyond this many radians a step the averages are where they should be after every step, and what is stiffer only
+// makes the linear system worse.
+constexpr double kMostRadians = 10;
+
+double fastest_tracking(const Scene& scene) {
+  const int coarse_steps = std::min(scene.tracking.coarse_steps, scene.steps_per_frame);
+  return kMostRadians * scene.steps_per_frame / (scene.frame_time_s * coarse_steps);
+}
+
+void check_tracking(const Scene& scene) {
+  const Tracking& tracking = scene.tracking;
+  check_not_negative(scene, tracking.spring, "tracking: spring");
+  check_not_negative(scene, tracking.frequency, "tracking: frequency");
+  if (tracking.coarse_steps < 1) fail(scene, "tracking: a fine step is at least one coarse step");
+  if (tracking.frequency > fastest_tracking(scene) && tracking.frequency != Tracking::kDefaultFrequency) {
+    char text[120];
+    std::snprintf(text, sizeof text, "tracking: frequency is %.6g rad/s; steps of %.3g ms follow at most %.6g",
+                  tracking.frequency, 1e3 * kMostRadians / fastest_tracking(scene), fastest_tracking(scene));
+    fail(scene, text);
+  }
+}
+
 }  // namespace
 
 void validate_scene(const Scene& scene) {
@@ -177,10 +199,11 @@ void validate_scene(const Scene& scene) {
   if (static_cast<double>(scene.garment.face_count()) * std::pow(4.0, scene.subdivision_rounds) > kMaxFineFaces) {
     fail(scene, "the subdivided garment would have more than 8,000,000 faces");
   }
-  check_not_negative(scene, scene.tracking.spring, "tracking: spring");
-  if (scene.tracking.coarse_steps < 1) fail(scene, "tracking: a fine step is at least one coarse step");
+  check_tracking(scene);
   if (scene.threads < 0 || scene.threads > 1024) fail(scene, "threads must be 0 to 1024");
 }
+
+double tracking_frequency(const Scene& scene) { return std::min(scene.tracking.frequency, fastest_tracking(scene)); }
 
 Eigen::Matrix3d rotation_matrix(const Vector3d& axis_angle) {
   const double angle = axis_angle.norm();

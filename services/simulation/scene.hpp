@@ -92,12 +92,20 @@ struct Contact {
   bool self_collision = true;
 };
 
-/// How the fine simulation follows the coarse one ([MFSR] section 4.2).
+/// How the fine simulation follows the coarse one: by averages (averages.hpp), or as [MFSR] section 4.2 has it
+/// (published_tracking()), or both.
 struct Tracking {
-  double spring = 10;     ///< c, N/m per feature vertex
-  int coarse_steps = 2;   ///< per fine step; 2 instead of 1 changes the fine tablecloth by 0.3 mm RMS
-  bool two_level = true;  ///< the coarse topology's forces on the feature vertices, on top of the fine ones
+  static constexpr double kDefaultFrequency = 7;
+  /// rad/s, with which averages swing about those of the coarse cloth; 0: they don't follow. At most 10 radians a fine
+  /// step, to which the default is lowered in scenes with steps so long.
+  double frequency = kDefaultFrequency;
+  double spring = 0;       ///< c, N/m per feature vertex; 0: none
+  int coarse_steps = 2;    ///< per fine step; 2 instead of 1 changes the fine tablecloth by 0.3 mm RMS
+  bool two_level = false;  ///< the coarse topology's forces on the feature vertices, on top of the fine ones
 };
+
+/// Springs of 10 N/m and two levels: what a scene means that sets either of them and no frequency.
+inline Tracking published_tracking() { return {.frequency = 0, .spring = 10, .two_level = true}; }
 
 struct Scene {
   std::string name;
@@ -139,6 +147,9 @@ struct Scene {
 /// finite, or duplicate obstacle names. Whether the start is free of penetrations and self-intersections is checked by
 /// Simulation, which has the hierarchies. O(F log F).
 void validate_scene(const Scene& scene);
+
+/// rad/s: the scene's, or less with steps so long that they could not follow it.
+double tracking_frequency(const Scene& scene);
 
 /// The pose of a motion at a time: rotation matrix and offset of x -> R x + t.
 struct Pose {

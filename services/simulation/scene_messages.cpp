@@ -125,6 +125,17 @@ SubdivisionRule rule_from(v1::SubdivisionRule rule) {
   }
 }
 
+// Before there was a frequency, a scene with either of the others meant the published way.
+Tracking tracking_from(const v1::Tracking& m) {
+  const bool published = m.has_spring() || m.has_two_level();
+  Tracking tracking = published ? published_tracking() : Tracking();
+  if (published && m.has_frequency()) tracking = {.frequency = 0};
+  if (m.has_frequency()) tracking.frequency = m.frequency();
+  if (m.has_spring()) tracking.spring = m.spring();
+  if (m.has_two_level()) tracking.two_level = m.two_level();
+  return tracking;
+}
+
 // Message fields are unsigned; beyond every limit they must not become negative.
 int bounded(std::uint64_t value) { return static_cast<int>(std::min<std::uint64_t>(value, 1u << 30)); }
 
@@ -183,8 +194,7 @@ Scene scene_from_message(const v1::Scene& m) {
   if (m.has_subdivision_rounds()) scene.subdivision_rounds = bounded(m.subdivision_rounds());
   scene.subdivision_rule = rule_from(m.subdivision_rule());
   if (m.has_handle_stretch_warning()) scene.handle_stretch_warning = m.handle_stretch_warning();
-  if (m.tracking().has_spring()) scene.tracking.spring = m.tracking().spring();
-  if (m.tracking().has_two_level()) scene.tracking.two_level = m.tracking().two_level();
+  scene.tracking = tracking_from(m.tracking());
   scene.seed = m.seed();
   validate_scene(scene);
   return scene;

@@ -171,6 +171,7 @@ std::uint64_t scene_fingerprint(const Scene& s, Mode mode) {
     w.value(s.strain_limits.maximum);
   }
   if (s.untangle) w.flag(true);
+  if (s.tracking.frequency > 0) w.value(s.tracking.frequency);
   if (s.subdivision_rule != SubdivisionRule::kMidpoint) w.value(static_cast<int>(s.subdivision_rule));
   return hash_bytes(bytes);
 }
@@ -274,6 +275,8 @@ struct Simulation::State {
   std::optional<HandleWatch> handle_watch;
   std::uint64_t next = 0;
   bool cut_told = false;
+  std::vector<Pin> springs;
+  Points targets;  // the upsampled coarse surface, where averages follow it
   Positions last_coarse, last_fine;
 
   State(Scene s, Mode m)
@@ -315,6 +318,10 @@ struct Simulation::State {
       fine.emplace(subdivision.fine, fine_initial, std::move(fine_handles), scene);
     }
     fine->use_levels(subdivision);
+    if (mode == Mode::kTrackedFine && scene.tracking.frequency > 0) {
+      fine->track_averages(subdivision, garment.faces);
+      targets.resize(fine->vertex_count());
+    }
     make_clean(*fine);
   }
 
@@ -350,9 +357,28 @@ struct Simulation::State {
     return frames;
   }
 
+  // What ties the fine cloth to where the coarse one is now.
+  Following following() {
+    if (mode != Mode::kTrackedFine) return {};
+    springs.clear();
+    const std::span<const Vector3d> x = coarse->positions();
+    if (scene.tracking.spring > 0) {
+      for (std::size_t v = 0; v < subdivision.feature_vertices.size(); ++v) {
+        springs.push_back({subdivision.feature_vertices[v], x[v], scene.tracking.spring, false});
+      }
+    }
+    for (std::size_t i = 0; i < targets.size(); ++i) {
+      targets[i].setZero();
+      for (int k = 0; k < 3; ++k) {
+        targets[i] += static_cast<double>(subdivision.barycentric(static_cast<Eigen::Index>(i), k)) *
+                      x[garment.faces(subdivision.parent_face[i], k)];
+      }
+    }
+    return {springs, tracking_frequency(scene), targets};
+  }
+
   void simulate_steps() {
     const double step_s = scene.frame_time_s / scene.steps_per_frame;
-    std::vector<Pin> springs;
     // Tracked, the fine cloth may take longer steps: where it is going is known.
     const int stride = mode == Mode::kTrackedFine ? scene.tracking.coarse_steps : 1;
     int pending = 0;  // coarse steps that the fine cloth has yet to make
@@ -361,15 +387,23 @@ struct Simulation::State {
       coarse->step(time_s, step_s, {}, pool);
       ++pending;
       if (!fine || (pending < stride && s + 1 < scene.steps_per_frame)) continue;
-      springs.clear();
-      if (mode == Mode::kTrackedFine && scene.tracking.spring > 0) {
-        for (std::size_t v = 0; v < subdivision.feature_vertices.size(); ++v) {
-          springs.push_back({subdivision.feature_vertices[v], coarse->positions()[v], scene.tracking.spring, false});
-        }
-      }
-      fine->step(time_s - (pending - 1) * step_s, pending * step_s, springs, pool);
+      fine->step(time_s - (pending - 1) * step_s, pending * step_s, following(), pool);
       pending = 0;
     }
+  }
+
+  std::string cut_warning(const SimulatedFrame& frame) const {
+    char frequency[80] = "";
+    if (!targets.empty()) {
+      std::snprintf(frequency, sizeof frequency, ", or the tracking frequency of %.3g rad/s is too high",
+                    tracking_frequency(scene));
+    }
+    char text[300];
+    std::snprintf(text, sizeof text,
+                  "%llu of the steps up to %.3g s had to be cut: they are too long, or something pinches the cloth%s; "
+                  "obstacles and handles may stay behind their script",
+                  static_cast<unsigned long long>(frame.report.cut_steps), frame.coarse.time_s, frequency);
+    return text;
   }
 
   template <typename Archive>
@@ -439,13 +473,7 @@ SimulatedFrame Simulation::next_frame() {
                   coarse.rigid_zones + fine.rigid_zones,     coarse.cut_steps + fine.cut_steps,
                   coarse.yielded_steps + fine.yielded_steps, coarse.solver_iterations + fine.solver_iterations};
   if (frame.report.cut_steps > 0 && !std::exchange(s.cut_told, true)) {
-    char text[200];
-    std::snprintf(
-        text, sizeof text,
-        "%llu of the steps up to %.3g s had to be cut: they are too long, or something pinches the cloth, and "
-        "obstacles and handles may stay behind their script",
-        static_cast<unsigned long long>(frame.report.cut_steps), frame.coarse.time_s);
-    frame.warnings.emplace_back(text);
+    frame.warnings.push_back(s.cut_warning(frame));
   }
   ++s.next;
   return frame;

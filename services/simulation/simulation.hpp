@@ -18,7 +18,7 @@ namespace pleat::simulation {
 
 enum class Mode {
   kCoarse,       ///< the garment as it is
-  kTrackedFine,  ///< the coarse garment, and the subdivided one that follows it ([MFSR] section 4.2)
+  kTrackedFine,  ///< the coarse garment, and the subdivided one that follows it (Scene::tracking)
   kFreeFine,     ///< both, untied
 };
 

@@ -172,7 +172,7 @@ TEST_F(SmallSet, FreeFineSimulationsGoTheirOwnWay) {
   generate(options, [](const Progress&) {});
   EXPECT_TRUE(DatasetReader(tracked).master().tracked);
   EXPECT_FALSE(DatasetReader(free).master().tracked);
-  EXPECT_GT(distance(free), 2 * distance(tracked));
+  EXPECT_GT(distance(free), distance(tracked));
   options.scenes.tracked = true;
   EXPECT_THROW(generate(options, [](const Progress&) {}), Error) << "one folder, one kind";
 }

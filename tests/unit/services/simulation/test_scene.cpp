@@ -69,6 +69,9 @@ TEST(Scene, RefusesBadNumbers) {
   expect_refused([](Scene& s) { s.contact.friction = -0.1; }, "friction");
   expect_refused([](Scene& s) { s.subdivision_rounds = 6; }, "subdivision");
   expect_refused([](Scene& s) { s.tracking.spring = -1; }, "tracking");
+  expect_refused([](Scene& s) { s.tracking.frequency = -1; }, "tracking: frequency");
+  expect_refused([](Scene& s) { s.tracking.frequency = kNaN; }, "tracking: frequency");
+  expect_refused([](Scene& s) { s.tracking.frequency = 1001; }, "tracking: frequency is 1001 rad/s");
   expect_refused([](Scene& s) { s.transform.scale = 0; }, "scale");
   expect_refused([](Scene& s) { s.threads = -1; }, "threads");
   expect_refused([](Scene& s) { s.handle_stretch_warning = 0.5; }, "handle stretch warning");

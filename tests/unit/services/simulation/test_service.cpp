@@ -324,8 +324,9 @@ TEST(SceneMessages, FillInTheContractsDefaults) {
   EXPECT_EQ(scene.contact.friction, 0.6);
   EXPECT_EQ(scene.contact.obstacle_friction, 0.3);
   EXPECT_EQ(scene.handles.at(0).stiffness, 1000);
-  EXPECT_EQ(scene.tracking.spring, 10);
-  EXPECT_TRUE(scene.tracking.two_level);
+  EXPECT_EQ(scene.tracking.frequency, Tracking::kDefaultFrequency);
+  EXPECT_EQ(scene.tracking.spring, 0);
+  EXPECT_FALSE(scene.tracking.two_level);
   EXPECT_EQ(scene.subdivision_rounds, 2);
   EXPECT_EQ(scene.subdivision_rule, SubdivisionRule::kMidpoint);
   EXPECT_FALSE(scene.strain_limits.limits());
@@ -346,6 +347,25 @@ TEST(SceneMessages, BringTheOptions) {
   EXPECT_TRUE(scene.untangle);
   EXPECT_EQ(scene.subdivision_rule, SubdivisionRule::kLoop);
   EXPECT_EQ(scene.handle_stretch_warning, 1.5);
+}
+
+TEST(SceneMessages, ScenesWithSpringsMeanWhatTheyMeant) {
+  v1::Scene message = scene_message(5);
+  message.mutable_tracking()->set_spring(3);
+  Tracking tracking = scene_from_message(message).tracking;
+  EXPECT_EQ(tracking.spring, 3);
+  EXPECT_TRUE(tracking.two_level);
+  EXPECT_EQ(tracking.frequency, 0);
+  message.mutable_tracking()->clear_spring();
+  message.mutable_tracking()->set_two_level(false);
+  tracking = scene_from_message(message).tracking;
+  EXPECT_EQ(tracking.spring, 10);
+  EXPECT_FALSE(tracking.two_level);
+  EXPECT_EQ(tracking.frequency, 0);
+  message.mutable_tracking()->set_frequency(20);
+  tracking = scene_from_message(message).tracking;
+  EXPECT_EQ(tracking.spring, 0);
+  EXPECT_EQ(tracking.frequency, 20);
 }
 
 TEST(SceneMessages, BringCapsulesAndAnimations) {

@@ -216,7 +216,8 @@ TEST(Simulation, TrackedFineFollowsTheCoarseMeshAndFreeFineDoesNot) {
   scene.material = read_material("deploy/materials/gray-interlock.json");
   scene.perturbation_m = 2e-3;
   scene.handles.push_back(handle_on({0}));
-  const auto distance = [&](Mode mode) {
+  const auto distance = [&](Mode mode, const Tracking& tracking) {
+    scene.tracking = tracking;
     Simulation simulation(scene, mode);
     SimulatedFrame frame;
     for (int k = 0; k < 25; ++k) frame = simulation.next_frame();
@@ -229,9 +230,14 @@ TEST(Simulation, TrackedFineFollowsTheCoarseMeshAndFreeFineDoesNot) {
     }
     return std::sqrt(sum / static_cast<double>(features.size()));
   };
-  const double tracked = distance(Mode::kTrackedFine), free = distance(Mode::kFreeFine);
-  EXPECT_LT(tracked, 5e-3);
-  EXPECT_GT(free, 3 * tracked);
+  const double springs = distance(Mode::kTrackedFine, published_tracking());
+  const double tight = distance(Mode::kTrackedFine, {.frequency = 50});
+  const double averages = distance(Mode::kTrackedFine, {});
+  const double free = distance(Mode::kFreeFine, {});
+  EXPECT_LT(springs, 5e-3);
+  EXPECT_LT(tight, averages);
+  EXPECT_LT(averages, free);
+  EXPECT_GT(free, 3 * springs);
 }
 
 TEST(Simulation, HandlesHoldMoveAndRelease) {
