@@ -280,7 +280,7 @@ void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPoo
     }
   });
   pairs_.clear();
-  if (scene_.contact.self_collision) add_neighbours(start, end, pool);
+  if (scene_.contact.self_collision && scene_.contact.neighbours) add_neighbours(start, end, pool);
   for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
   add_round_pairs(start, end, margin);
   pairs_end_ = end;

@@ -57,6 +57,9 @@ class ContactSystem {
   /// resolve() asks between its rounds, and throws kCancelled when the answer is yes.
   void stop_when(std::function<bool()> stopped) { stopped_ = std::move(stopped); }
 
+  /// What was found for earlier positions no longer helps: the next result depends on its own positions alone.
+  void forget() { pairs_end_.clear(); }
+
   std::size_t cloth_count() const { return cloth_count_; }
   std::size_t particle_count() const { return particle_count_; }
   double thickness() const { return thickness_; }  ///< metres, of the repulsion layer

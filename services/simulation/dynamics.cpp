@@ -321,7 +321,15 @@ void Dynamics::assemble(const Points& x, const Points& v, const Step& step, Thre
       velocities_[i] = Double4{velocity.x(), velocity.y(), velocity.z(), 0};
     }
   });
-  const Air air{velocities_.data(), step.wind.velocity.cast<float>(), static_cast<float>(step.wind.density),
+  if (!step.air_velocities.empty()) {
+    air_velocities_.resize(vertex_count());
+    for (std::size_t i = 0; i < vertex_count(); ++i) {
+      const Vector3d& velocity = step.air_velocities[vertex_at_[i]];
+      air_velocities_[i] = Double4{velocity.x(), velocity.y(), velocity.z(), 0};
+    }
+  }
+  const Air air{step.air_velocities.empty() ? velocities_.data() : air_velocities_.data(),
+                step.wind.velocity.cast<float>(), static_cast<float>(step.wind.density),
                 static_cast<float>(step.wind.drag), static_cast<float>(density_) / h};
   const bool windy = step.wind.density > 0 || step.wind.drag > 0;
   pool.parallel_for(face_packs_.size(), kPackGrain, [&](std::size_t begin, std::size_t end) {

@@ -69,8 +69,9 @@ class Dynamics {
     Wind wind;
     std::span<const Pin> pins;
     std::span<const ContactForce> contacts;
-    double frequency = 0;                      ///< rad/s, with which averages are held to those of the targets
-    std::span<const Eigen::Vector3d> targets;  ///< (V) m, at the end of the step; read if there is a frequency
+    std::span<const Eigen::Vector3d> air_velocities;  ///< (V) m/s, that the air meets; empty: the velocities
+    double frequency = 0;                             ///< rad/s, with which averages are held to those of the targets
+    std::span<const Eigen::Vector3d> targets;         ///< (V) m, at the end of the step; read if there is a frequency
     double tolerance = 3e-3;  ///< of the preconditioned residual, relative to that of the right-hand side
     int max_iterations = 400;
   };
@@ -86,6 +87,11 @@ class Dynamics {
   /// velocity change, which starts the linear solver.
   std::vector<float>& reference_angles() { return reference_angles_; }
   std::vector<Float4>& last_change() { return change_; }
+  void forget_reference_angles() { std::fill(reference_angles_.begin(), reference_angles_.end(), 0.0f); }
+  /// Starts the next solve's iterations where all velocities at the end of the step, (V), are zero.
+  void start_at_rest(const Points& velocities) {
+    for (std::size_t i = 0; i < vertex_count(); ++i) change_[place_[i]] = to_float4(-velocities[i]);
+  }
   void forget_last_change() { std::fill(change_.begin(), change_.end(), Float4{}); }
 
   /// Whether an edge of the cloth gets more than twice as long (and as it was at rest, roughly) between two states:
@@ -142,7 +148,7 @@ class Dynamics {
   std::size_t mass_packs_ = 0;
 
   // Per step.
-  std::vector<Double4> positions_, velocities_;  // copies in registers' layout
+  std::vector<Double4> positions_, velocities_, air_velocities_;  // copies in registers' layout
   std::vector<float> face_records_, hinge_records_;
   std::vector<ContactForce> contacts_;  // the step's, with places for vertices
   std::vector<float> inverse_diagonal_;

@@ -90,6 +90,7 @@ struct Contact {
   double friction = 0.6;    ///< cloth on cloth
   double obstacle_friction = 0.3;
   bool self_collision = true;
+  bool neighbours = true;  ///< also of faces that share a vertex
 };
 
 /// How the fine simulation follows the coarse one: by averages (averages.hpp), or as [MFSR] section 4.2 has it
