@@ -37,8 +37,25 @@ bool is_local_address(const std::string& address) {
   return host.rfind("127.", 0) == 0 && host.find_first_not_of("0123456789.") == std::string::npos;
 }
 
+void keep_grpc() {
+  // A channel that stays for ever, with one call made on it.
+  struct Keeper {
+    std::shared_ptr<grpc::Channel> channel = grpc::CreateChannel("unix:/dev/null", grpc::InsecureChannelCredentials());
+    std::unique_ptr<grpc::health::v1::Health::Stub> stub = grpc::health::v1::Health::NewStub(channel);
+    grpc::ClientContext context;
+    grpc::health::v1::HealthCheckRequest request;
+    grpc::health::v1::HealthCheckResponse response;
+  };
+  [[maybe_unused]] static Keeper* const keeper = [] {
+    auto* made = new Keeper;
+    made->stub->async()->Check(&made->context, &made->request, &made->response, [](const grpc::Status&) {});
+    return made;
+  }();
+}
+
 std::shared_ptr<grpc::Channel> create_channel(const std::string& address, const TlsOptions& tls) {
   if (address.empty()) throw_invalid_argument("an empty address");
+  keep_grpc();
   std::shared_ptr<grpc::ChannelCredentials> credentials;
   grpc::ChannelArguments arguments;
   if (tls.enabled()) {

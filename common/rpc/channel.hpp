@@ -22,6 +22,11 @@ struct TlsOptions {
   bool enabled() const { return !ca_file.empty() || !certificate_file.empty() || !key_file.empty(); }
 };
 
+/// Keeps gRPC up until the process ends; create_channel and Server call it. gRPC 1.51 shuts down with the last object
+/// that used it, which takes up to 10 s, and takes its callback threads down with the last channel that used them, where
+/// one that is made at that moment aborts the process.
+void keep_grpc();
+
 /// True for `unix:PATH`, `unix-abstract:NAME`, and 127.0.0.0/8, [::1] or localhost with a port.
 bool is_local_address(const std::string& address);
 

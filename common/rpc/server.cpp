@@ -9,6 +9,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <csignal>
 #include <cstdio>
@@ -17,6 +18,7 @@
 #include <filesystem>
 #include <mutex>
 #include <thread>
+#include <utility>
 
 #include "common/base/error.hpp"
 #include "common/rpc/pem.hpp"
@@ -90,12 +92,15 @@ struct Server::State {
   std::vector<HostedService> services;
   std::string address;
   double drain_s = 0;
+  std::function<int()> sessions;
   std::unique_ptr<grpc::Server> server;
   std::once_flag stopped;
 };
 
-Server::Server(const ServerOptions& options, const std::vector<HostedService>& services)
+Server::Server(const ServerOptions& options, const std::vector<HostedService>& services, std::function<int()> sessions)
     : state_(std::make_unique<State>()) {
+  keep_grpc();
+  state_->sessions = std::move(sessions);
   if (options.listen.empty()) throw_invalid_argument("no listen address");
   if (options.max_threads < 4) throw_invalid_argument("max-threads: at least 4");
   const std::string path = socket_path(options.listen);
@@ -122,6 +127,12 @@ Server::Server(const ServerOptions& options, const std::vector<HostedService>& s
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);  // a port that is taken is an error, not shared
   builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 15'000);
+  // A client whose host is gone, or that says nothing at all, leaves its connection; they are asked and closed.
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
+  builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
+  builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, 600'000);
   grpc::ResourceQuota quota("pleat");
   quota.SetMaxThreads(options.max_threads);
   builder.SetResourceQuota(quota);
@@ -154,9 +165,14 @@ void Server::stop() {
     for (const HostedService& hosted : state_->services) {
       if (hosted.drain) hosted.drain();
     }
-    const auto drain = std::chrono::duration<double>(state_->drain_s);
-    state_->server->Shutdown(std::chrono::system_clock::now() +
-                             std::chrono::duration_cast<std::chrono::system_clock::duration>(drain));
+    using Clock = std::chrono::system_clock;
+    constexpr auto kLastAnswers = std::chrono::milliseconds(100);  // for unary calls, and statuses on their way
+    const auto end =
+        Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(state_->drain_s));
+    if (state_->sessions) {
+      while (state_->sessions() > 0 && Clock::now() < end) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
+    state_->server->Shutdown(state_->sessions ? std::min<Clock::time_point>(end, Clock::now() + kLastAnswers) : end);
     state_->server->Wait();
     const std::string path = socket_path(state_->address);
     std::error_code error;
@@ -172,7 +188,7 @@ int run_server(const ServerOptions& options, const std::vector<HostedService>& s
     if (getppid() != parent) throw Error(ErrorCode::kCancelled, "the parent process has ended");
   }
   if (!options.metrics_listen.empty()) metrics.serve(options.metrics_listen, options.metrics_anywhere);
-  Server server(options, services);
+  Server server(options, services, [&metrics] { return metrics.sessions(); });
   spdlog::info("serving at {}", server.address());
   std::printf("ready %s\n", server.address().c_str());
   std::fflush(stdout);

@@ -44,8 +44,8 @@ void add_options(config::Options& options, ServerOptions& server);
 struct HostedService {
   grpc::Service* service = nullptr;
   std::string name;
-  std::function<void()> drain =
-      {};  ///< called once when stopping begins; should make long calls end soon. May be empty.
+  /// Called once when stopping begins; should make long calls end soon. May be empty.
+  std::function<void()> drain = {};
 };
 
 /// A running server; for tests and for processes with a life of their own. Services must outlive it.
@@ -53,7 +53,8 @@ class Server {
  public:
   /// Listens and serves. Throws kInvalidArgument (address, TLS files), kUnavailable (address in use; it is named).
   /// A socket file that nobody listens on is removed first.
-  Server(const ServerOptions& options, const std::vector<HostedService>& services);
+  /// sessions: how many calls are worth waiting for when it stops; empty: unknown, it waits for whoever is connected.
+  Server(const ServerOptions& options, const std::vector<HostedService>& services, std::function<int()> sessions = {});
   /// Stops.
   ~Server();
   Server(const Server&) = delete;
@@ -62,7 +63,8 @@ class Server {
   /// The address for clients, with the chosen port.
   const std::string& address() const;
 
-  /// Health to NOT_SERVING, drain callbacks, then Shutdown with the deadline. Returns when all calls ended. Idempotent.
+  /// Health to NOT_SERVING and drain callbacks; then sessions have `drain_s` to end, if `sessions` is there to count
+  /// them; then everything is cancelled. A client that only keeps its connection costs no time. Idempotent.
   void stop();
 
  private:

@@ -3,6 +3,7 @@
 #include <array>
 #include <exception>
 #include <new>
+#include <system_error>
 
 namespace pleat::rpc {
 namespace {
@@ -36,10 +37,24 @@ ErrorCode to_error_code(grpc::StatusCode code) {
   return ErrorCode::kInternal;
 }
 
-grpc::Status to_status(const Error& error) { return {to_status_code(error.code()), error.what()}; }
+std::string bounded(std::string text) {
+  if (text.size() <= kMaxMessageCharacters) return text;
+  constexpr std::size_t kEnd = 200;
+  const std::string omission = " ... (" + std::to_string(text.size()) + " characters) ... ";
+  return text.substr(0, kMaxMessageCharacters - kEnd - omission.size()) + omission + text.substr(text.size() - kEnd);
+}
+
+bool may_pass(ErrorCode code) {
+  return code == ErrorCode::kUnavailable || code == ErrorCode::kDeadlineExceeded || code == ErrorCode::kInternal;
+}
+
+grpc::Status to_status(const Error& error) { return {to_status_code(error.code()), bounded(error.what())}; }
 
 Error to_error(const grpc::Status& status, const std::string& peer) {
-  return {to_error_code(status.error_code()), peer + ": " + status.error_message()};
+  const bool no_thread = status.error_code() == grpc::StatusCode::RESOURCE_EXHAUSTED &&
+                         status.error_message().find("Threadpool Exhausted") != std::string::npos;
+  return {no_thread ? ErrorCode::kUnavailable : to_error_code(status.error_code()),
+          bounded(peer + ": " + status.error_message())};
 }
 
 void throw_if_failed(const grpc::Status& status, const std::string& peer) {
@@ -53,8 +68,11 @@ grpc::Status current_exception_status() {
     return to_status(error);
   } catch (const std::bad_alloc&) {
     return {grpc::StatusCode::RESOURCE_EXHAUSTED, "out of memory"};
+  } catch (const std::system_error& error) {
+    const bool no_thread = error.code() == std::errc::resource_unavailable_try_again;
+    return {no_thread ? grpc::StatusCode::UNAVAILABLE : grpc::StatusCode::INTERNAL, bounded(error.what())};
   } catch (const std::exception& error) {
-    return {grpc::StatusCode::INTERNAL, error.what()};
+    return {grpc::StatusCode::INTERNAL, bounded(error.what())};
   } catch (...) {
     return {grpc::StatusCode::INTERNAL, "an exception of unknown type"};
   }

@@ -4,14 +4,17 @@
 #pragma once
 
 #include <grpcpp/grpcpp.h>
+#include <grpcpp/support/client_callback.h>
 #include <grpcpp/support/sync_stream.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -28,6 +31,11 @@ namespace pleat::rpc {
 
 inline constexpr std::uint32_t kDefaultWindow = 4;
 inline constexpr std::uint32_t kMaxWindow = 64;
+
+/// A client that owes a message (a frame, an acknowledgement) and is silent this long is cut off.
+inline constexpr std::chrono::seconds kIdleTimeout{600};
+/// A client that does not take an answer this long is cut off.
+inline constexpr std::chrono::seconds kReaderTimeout{60};
 
 /// The window of an `open` message: 0 means kDefaultWindow; more than kMaxWindow is kInvalidArgument.
 std::uint32_t checked_window(std::uint32_t requested);
@@ -48,6 +56,8 @@ struct FrameServiceOptions {
   std::string stage;                      ///< in metrics, and in the answer's stage_times where it has them
   telemetry::Metrics* metrics = nullptr;  ///< may be null
   std::size_t concurrency = 1;            ///< frames of one stream processed at the same time
+  std::chrono::milliseconds idle_timeout = kIdleTimeout;      ///< without a frame while none is in work
+  std::chrono::milliseconds reader_timeout = kReaderTimeout;  ///< for one answer to be taken
 };
 
 /// A whole handler of a frame stream, to be returned from the service's method.
@@ -56,6 +66,7 @@ struct FrameServiceOptions {
 /// An exception of `open` ends the stream with its status; one of `process` becomes a FrameError and the stream goes
 /// on. With concurrency > 1, process is called from several threads at once; answers keep the order of the requests. A
 /// broken sequence of messages (no open, a second one) ends the stream with INVALID_ARGUMENT after the frames before.
+/// A client that is silent, or does not read, ends with DEADLINE_EXCEEDED after the time-outs of the options.
 template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
                           const FrameServiceOptions& options, Open&& open);
@@ -102,13 +113,18 @@ struct FrameStreamOptions {
 
 /// Client side of a frame stream. One thread may push while another pops; with a single thread use try_push.
 /// All members throw pleat::Error with the peer's name when the stream has failed: what the service said, kUnavailable
-/// if it went away, kDeadlineExceeded from the watchdog, kCancelled after cancel().
+/// if it went away, kDeadlineExceeded if it gave no sign for a time-out, kCancelled after cancel().
+///
+/// No member waits longer than the time-outs for the peer, writes included, and none waits after cancel(). gRPC itself
+/// may: a write to a process that is stopped completes when that process ends. So the call is gRPC's own; a stream that
+/// has failed leaves it behind.
 template <typename Request, typename Response>
 class FrameStream {
  public:
-  using Starter = std::function<std::unique_ptr<grpc::ClientReaderWriter<Request, Response>>(grpc::ClientContext*)>;
+  using Reactor = grpc::ClientBidiReactor<Request, Response>;
+  using Starter = std::function<void(grpc::ClientContext*, Reactor*)>;
 
-  /// start: [&](auto* context) { return stub->Refine(context); }
+  /// start: [&](auto* context, auto* call) { stub->async()->Refine(context, call); }
   FrameStream(const Starter& start, FrameStreamOptions options);
   /// Cancels what is still running.
   ~FrameStream();
@@ -137,25 +153,24 @@ class FrameStream {
 
  private:
   using Clock = std::chrono::steady_clock;
+  using Lock = std::unique_lock<std::mutex>;
+  class Call;
 
   bool write(const Request& request, bool counted, bool wait);
-  void write_failed(std::unique_lock<std::mutex>& lock);
-  void end(std::unique_lock<std::mutex>& lock);
+  bool read(Lock& lock);
+  template <typename Done>
+  bool wait_for_peer(Lock& lock, Clock::time_point since, Done done);
+  void take_status(Lock& lock);
+  void fail(Lock& lock, const Error& error);
   void throw_if_ended_badly() const;
-  void watch();
 
   FrameStreamOptions options_;
-  grpc::ClientContext context_;
-  std::unique_ptr<grpc::ClientReaderWriter<Request, Response>> stream_;
-  mutable std::mutex mutex_;
+  std::shared_ptr<Call> call_;
   std::mutex write_mutex_;  ///< one write at a time, and close() not before it ended
-  std::condition_variable changed_;
   std::uint32_t in_flight_ = 0;
-  bool opened_ = false, closed_ = false, ended_ = false, cancelled_ = false, timed_out_ = false, destroyed_ = false;
-  std::optional<Clock::time_point> reading_since_;
-  Clock::time_point last_push_ = Clock::now();
+  bool opened_ = false, closed_ = false, ended_ = false, reading_ = false;
+  Clock::time_point last_sign_ = Clock::now();  ///< when the peer last answered, or was last asked
   std::optional<Error> error_;
-  std::thread watchdog_;
 };
 
 }  // namespace pleat::rpc

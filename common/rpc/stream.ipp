@@ -68,6 +68,78 @@ void process_slot(typename ServedStream<Request, Response>::Slot& slot, const Pr
   }
 }
 
+/// Threads of one handler. If the system has none to spare, or the handler throws, those there are end before it does.
+class Threads {
+ public:
+  /// stop: makes every thread end soon.
+  explicit Threads(std::function<void()> stop) : stop_(std::move(stop)) {}
+  ~Threads() { stop_and_join(); }
+  Threads(const Threads&) = delete;
+  Threads& operator=(const Threads&) = delete;
+
+  template <typename Work>
+  void start(Work work) {
+    threads_.emplace_back(std::move(work));
+  }
+  /// When all end by themselves.
+  void join_at_ease() {
+    for (std::thread& thread : threads_) thread.join();
+    threads_.clear();
+  }
+  void stop_and_join() {
+    if (!threads_.empty()) stop_();
+    join_at_ease();
+  }
+
+ private:
+  std::function<void()> stop_;
+  std::vector<std::thread> threads_;
+};
+
+/// Cuts off a client that owes something for too long. Looks every `step`, so that the hot path only notes the time.
+class ClientWatch {
+ public:
+  ClientWatch(grpc::ServerContext* context, std::chrono::milliseconds step)
+      : context_(context), step_(step), thread_([this] { run(); }) {}
+  ~ClientWatch() {
+    {
+      const std::lock_guard lock(mutex_);
+      over_ = true;
+    }
+    changed_.notify_all();
+    thread_.join();
+  }
+  ClientWatch(const ClientWatch&) = delete;
+  ClientWatch& operator=(const ClientWatch&) = delete;
+
+  void expect_within(std::chrono::milliseconds limit) { deadline_ = (Clock::now() + limit).time_since_epoch().count(); }
+  void expect_nothing() { deadline_ = kNever; }
+  bool timed_out() const { return timed_out_; }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  static constexpr Clock::rep kNever = std::numeric_limits<Clock::rep>::max();
+
+  void run() {
+    std::unique_lock lock(mutex_);
+    while (!changed_.wait_for(lock, step_, [this] { return over_; })) {
+      if (Clock::now().time_since_epoch().count() < deadline_) continue;
+      timed_out_ = true;
+      context_->TryCancel();
+      return;
+    }
+  }
+
+  grpc::ServerContext* const context_;
+  const std::chrono::milliseconds step_;
+  std::atomic<Clock::rep> deadline_{kNever};
+  std::atomic<bool> timed_out_{false};
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool over_ = false;
+  std::thread thread_;
+};
+
 class SessionCount {
  public:
   explicit SessionCount(telemetry::Metrics* metrics) : metrics_(metrics) {
@@ -89,20 +161,27 @@ template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
                           const FrameServiceOptions& options, Open&& open) {
   return guard([&]() -> grpc::Status {
+    detail::ClientWatch watch(context, std::min(options.idle_timeout, options.reader_timeout) / 4);
+    watch.expect_within(options.idle_timeout);
     Request first;
-    if (!stream->Read(&first)) return grpc::Status::OK;
+    if (!stream->Read(&first)) {
+      return watch.timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "no `open` came") : grpc::Status::OK;
+    }
+    watch.expect_nothing();
     if (!first.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
     const std::uint32_t window = checked_window(first.open().window());
     const detail::SessionCount session(options.metrics);
     Response opened;
     const auto process = open(first.open(), opened.mutable_opened());
     first.Clear();
+    watch.expect_within(options.reader_timeout);
     if (!stream->Write(opened)) return grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
+    watch.expect_within(options.idle_timeout);
 
     using Shared = detail::ServedStream<Request, Response>;
     Shared shared(window);
 
-    std::thread reader([&] {
+    const auto read_requests = [&] {
       std::unique_lock lock(shared.mutex);
       while (true) {
         shared.changed.wait(lock, [&] { return !shared.free.empty() || shared.broken; });
@@ -118,53 +197,59 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
           shared.status = grpc::Status(grpc::StatusCode::INVALID_ARGUMENT, "after `open` only frames may follow");
           break;
         }
+        if (shared.order.empty()) watch.expect_nothing();
         shared.order.push_back(slot);
         shared.waiting.push_back(slot);
         shared.changed.notify_all();
       }
       shared.no_more = true;
       shared.changed.notify_all();
+    };
+    const auto process_requests = [&] {
+      std::unique_lock lock(shared.mutex);
+      while (true) {
+        shared.changed.wait(lock, [&] { return !shared.waiting.empty() || shared.no_more || shared.broken; });
+        if (shared.broken || shared.waiting.empty()) return;
+        auto* slot = shared.waiting.front();
+        shared.waiting.pop_front();
+        lock.unlock();
+        detail::process_slot<Request, Response>(*slot, process, options);
+        lock.lock();
+        slot->done = true;
+        shared.changed.notify_all();
+      }
+    };
+    detail::Threads threads([&] {
+      const std::lock_guard lock(shared.mutex);
+      shared.broken = true;
+      shared.changed.notify_all();
+      context->TryCancel();  // a reader that waits for the client ends at once
     });
+    threads.start(read_requests);
+    for (std::size_t i = 0; i < std::max<std::size_t>(1, options.concurrency); ++i) threads.start(process_requests);
 
-    std::vector<std::thread> workers;
-    for (std::size_t i = 0; i < std::max<std::size_t>(1, options.concurrency); ++i) {
-      workers.emplace_back([&] {
-        std::unique_lock lock(shared.mutex);
-        while (true) {
-          shared.changed.wait(lock, [&] { return !shared.waiting.empty() || shared.no_more || shared.broken; });
-          if (shared.broken || shared.waiting.empty()) return;
-          auto* slot = shared.waiting.front();
-          shared.waiting.pop_front();
-          lock.unlock();
-          detail::process_slot<Request, Response>(*slot, process, options);
-          lock.lock();
-          slot->done = true;
-          shared.changed.notify_all();
-        }
-      });
-    }
-
+    bool written = true;
     {
       std::unique_lock lock(shared.mutex);
       while (true) {
         shared.changed.wait(lock, [&] { return shared.order.empty() ? shared.no_more : shared.order.front()->done; });
         if (shared.order.empty()) break;
         auto* slot = shared.order.front();
+        watch.expect_within(options.reader_timeout);
         lock.unlock();
-        const bool written = stream->Write(slot->response);
+        written = stream->Write(slot->response);
         lock.lock();
         if (!written) break;
         shared.order.pop_front();
+        shared.order.empty() ? watch.expect_within(options.idle_timeout) : watch.expect_nothing();
         shared.free.push_back(slot);
         shared.changed.notify_all();
       }
-      shared.broken = !shared.order.empty();
-      shared.changed.notify_all();
     }
-    if (shared.broken) context->TryCancel();  // a reader that waits for the client ends at once
-    reader.join();
-    for (std::thread& worker : workers) worker.join();
-    if (shared.broken) return grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
+    if (written) threads.join_at_ease();
+    threads.stop_and_join();
+    if (watch.timed_out()) return {grpc::StatusCode::DEADLINE_EXCEEDED, "the client was silent, or did not read"};
+    if (!written) return {grpc::StatusCode::CANCELLED, "the client has gone"};
     return shared.status;
   });
 }
@@ -199,7 +284,11 @@ template <typename Request, typename Response>
 bool PacedWriter<Request, Response>::write(std::uint64_t index, const Response& response) {
   {
     std::unique_lock lock(mutex_);
-    changed_.wait(lock, [&] { return stopped_ || index < acknowledged_ + window_; });
+    const auto may_write = [&] { return stopped_ || index < acknowledged_ + window_; };
+    if (!changed_.wait_for(lock, kIdleTimeout, may_write)) {
+      throw Error(ErrorCode::kDeadlineExceeded,
+                  "the client has acknowledged nothing for " + std::to_string(kIdleTimeout.count()) + " s");
+    }
     if (stopped_) return false;
   }
   return stream_->Write(response);
@@ -214,27 +303,104 @@ bool PacedWriter<Request, Response>::stopped() const {
 template <typename Request, typename Response>
 void PacedWriter<Request, Response>::close() {
   std::unique_lock lock(mutex_);
-  changed_.wait(lock, [&] { return stopped_; });
+  changed_.wait_for(lock, kIdleTimeout, [&] { return stopped_; });
 }
+
+/// The call as gRPC sees it. It keeps itself alive until gRPC is done with it.
+template <typename Request, typename Response>
+class FrameStream<Request, Response>::Call final : public Reactor {
+ public:
+  static std::shared_ptr<Call> start(const Starter& start) {
+    auto call = std::make_shared<Call>();
+    call->self_ = call;
+    start(&call->context_, call.get());
+    call->AddHold();
+    call->StartCall();
+    return call;
+  }
+
+  /// All with the lock, which they give up while gRPC works. gRPC serialises a request before StartWrite returns, and
+  /// an answer comes into `response`: an abandoned call touches nothing of its user's.
+  void start_read(Lock& lock) {
+    reading = true;
+    outside(lock, [&] { this->StartRead(&response); });
+  }
+  void start_write(Lock& lock, const Request& request) {
+    writing = true;
+    outside(lock, [&] { this->StartWrite(&request); });
+  }
+  void start_writes_done(Lock& lock) {
+    outside(lock, [&] { this->StartWritesDone(); });
+  }
+  /// Nothing more is started: OnDone may come.
+  void release(Lock& lock) {
+    released_ = true;
+    remove_hold(lock);
+  }
+  bool released() const { return released_; }
+  void cancel() { context_.TryCancel(); }
+
+  mutable std::mutex mutex;
+  std::condition_variable changed;
+  Response response;
+  bool reading = false, writing = false;  ///< asked for, and not there yet
+  bool read_ok = true, write_ok = true;
+  std::optional<grpc::Status> status;
+
+ private:
+  template <typename Action>
+  void outside(Lock& lock, Action action) {
+    ++starting_;
+    lock.unlock();
+    action();
+    lock.lock();
+    --starting_;
+    remove_hold(lock);
+  }
+  void remove_hold(Lock& lock) {
+    if (!released_ || starting_ > 0 || hold_removed_) return;
+    hold_removed_ = true;
+    lock.unlock();
+    this->RemoveHold();
+    lock.lock();
+  }
+
+  void OnReadDone(bool ok) override {
+    const std::lock_guard lock(mutex);
+    reading = false;
+    read_ok = ok;
+    changed.notify_all();
+  }
+  void OnWriteDone(bool ok) override {
+    const std::lock_guard lock(mutex);
+    writing = false;
+    write_ok = write_ok && ok;
+    changed.notify_all();
+  }
+  void OnDone(const grpc::Status& final_status) override {
+    const std::shared_ptr<Call> last = std::move(self_);
+    const std::lock_guard lock(mutex);
+    status = final_status;
+    changed.notify_all();
+  }
+
+  grpc::ClientContext context_;
+  int starting_ = 0;
+  bool released_ = false, hold_removed_ = false;
+  std::shared_ptr<Call> self_;
+};
 
 template <typename Request, typename Response>
 FrameStream<Request, Response>::FrameStream(const Starter& start, FrameStreamOptions options)
-    : options_(std::move(options)), stream_(start(&context_)), watchdog_([this] { watch(); }) {}
+    : options_(std::move(options)), call_(Call::start(start)) {}
 
 template <typename Request, typename Response>
 FrameStream<Request, Response>::~FrameStream() {
-  {
-    std::unique_lock lock(mutex_);
-    if (!ended_) {
-      cancelled_ = true;
-      context_.TryCancel();
-      changed_.wait(lock, [&] { return !reading_since_.has_value(); });
-      if (!ended_) end(lock);
-    }
-    destroyed_ = true;
-    changed_.notify_all();
-  }
-  watchdog_.join();
+  // What the peer can end at once has ended when we are gone; a peer that hangs is not waited for.
+  constexpr std::chrono::milliseconds kLastWait{200};
+  Lock lock(call_->mutex);
+  if (!ended_) fail(lock, Error(ErrorCode::kCancelled, options_.peer + ": cancelled"));
+  call_->changed.wait_for(lock, kLastWait, [&] { return call_->status.has_value(); });
 }
 
 template <typename Request, typename Response>
@@ -246,7 +412,7 @@ auto FrameStream<Request, Response>::open(const Request& request) {
     cancel();
     throw_internal(options_.peer + " sent a frame before `opened`");
   }
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard lock(call_->mutex);
   opened_ = true;
   return response.opened();
 }
@@ -269,79 +435,100 @@ void FrameStream<Request, Response>::send(const Request& request) {
 template <typename Request, typename Response>
 bool FrameStream<Request, Response>::write(const Request& request, bool counted, bool wait) {
   const std::lock_guard write_lock(write_mutex_);
-  {
-    std::unique_lock lock(mutex_);
-    if (counted) {
-      const auto has_room = [&] { return ended_ || in_flight_ < options_.window; };
-      if (wait) changed_.wait(lock, has_room);
-      if (!has_room()) return false;
-    }
-    throw_if_ended_badly();
-    if (ended_ || closed_) throw Error(ErrorCode::kFailedPrecondition, options_.peer + ": the stream is closed");
-    if (counted) {
-      ++in_flight_;
-      last_push_ = Clock::now();
-      changed_.notify_all();
+  Lock lock(call_->mutex);
+  if (counted) {
+    const auto has_room = [&] { return ended_ || in_flight_ < options_.window; };
+    if (wait) call_->changed.wait(lock, has_room);
+    if (!has_room()) return false;
+  }
+  // A call that is ending tells its cause with its end.
+  if (call_->released()) call_->changed.wait(lock, [&] { return ended_; });
+  throw_if_ended_badly();
+  if (ended_ || closed_) throw Error(ErrorCode::kFailedPrecondition, options_.peer + ": the stream is closed");
+  if (counted) ++in_flight_;
+  const auto since = last_sign_ = Clock::now();
+  call_->changed.notify_all();
+  call_->start_write(lock, request);
+  wait_for_peer(lock, since, [&] { return !call_->writing; });
+  throw_if_ended_badly();
+  if (call_->write_ok) return true;
+  // The cause comes with the status, and that only after reading has ended: here, unless another thread reads.
+  while (!ended_) {
+    if (reading_) {
+      call_->changed.wait(lock, [&] { return ended_ || !reading_; });
+    } else if (!read(lock)) {
+      take_status(lock);
     }
   }
-  if (stream_->Write(request)) return true;
-  std::unique_lock lock(mutex_);
-  write_failed(lock);
-  return false;
-}
-
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::write_failed(std::unique_lock<std::mutex>& lock) {
-  // The cause comes with the status, and that only after reading has ended: here, unless another thread reads.
-  changed_.wait(lock, [&] { return ended_ || !reading_since_.has_value(); });
-  if (!ended_) end(lock);
   throw_if_ended_badly();
   throw Error(ErrorCode::kUnavailable, options_.peer + " ended the stream");
 }
 
 template <typename Request, typename Response>
 bool FrameStream<Request, Response>::pop(Response* response) {
-  std::unique_lock lock(mutex_);
+  Lock lock(call_->mutex);
   // A writer that failed may be taking the status: one reader at a time.
-  changed_.wait(lock, [&] { return ended_ || !reading_since_.has_value(); });
-  if (ended_) {
-    throw_if_ended_badly();
-    return false;
+  call_->changed.wait(lock, [&] { return ended_ || !reading_; });
+  if (!ended_) {
+    if (read(lock)) {
+      response->Swap(&call_->response);
+      if (in_flight_ > 0 && opened_) --in_flight_;
+      call_->changed.notify_all();
+      return true;
+    }
+    take_status(lock);
   }
-  reading_since_ = Clock::now();
-  changed_.notify_all();
-  lock.unlock();
-  const bool read = stream_->Read(response);
-  lock.lock();
-  reading_since_.reset();
-  if (read) {
-    if (in_flight_ > 0 && opened_) --in_flight_;
-    changed_.notify_all();
-    return true;
-  }
-  end(lock);
   throw_if_ended_badly();
   return false;
 }
 
-/// Reads what is left, takes the status. With the lock, and no other reader.
+/// One answer into the call's response. False: none will come. With the lock, and no other reader.
 template <typename Request, typename Response>
-void FrameStream<Request, Response>::end(std::unique_lock<std::mutex>& lock) {
-  reading_since_ = Clock::now();
-  lock.unlock();
-  Response rest;
-  while (stream_->Read(&rest)) {
-  }
-  const grpc::Status status = stream_->Finish();
-  lock.lock();
-  reading_since_.reset();
-  if (cancelled_) {
-    error_.emplace(ErrorCode::kCancelled, options_.peer + ": cancelled");
-  } else if (timed_out_) {
+bool FrameStream<Request, Response>::read(Lock& lock) {
+  reading_ = true;
+  call_->start_read(lock);
+  const bool done = wait_for_peer(lock, Clock::now(), [&] { return !call_->reading; });
+  reading_ = false;
+  if (done && !ended_ && call_->read_ok) last_sign_ = Clock::now();
+  call_->changed.notify_all();
+  return done && !ended_ && call_->read_ok;
+}
+
+/// Waits until `done`, or until the stream has ended, which it does when the peer is silent for the time-out: since
+/// `since`, and since the last answer. Between frames nothing is expected. True: done.
+template <typename Request, typename Response>
+template <typename Done>
+bool FrameStream<Request, Response>::wait_for_peer(Lock& lock, Clock::time_point since, Done done) {
+  const auto over = [&] { return ended_ || done(); };
+  while (!over()) {
+    const bool expected = !opened_ || call_->writing || in_flight_ > 0 || options_.server_driven;
+    if (!expected) {
+      call_->changed.wait(lock);
+      continue;
+    }
     const auto timeout = opened_ ? options_.frame_timeout : options_.open_timeout;
-    error_.emplace(ErrorCode::kDeadlineExceeded,
-                   options_.peer + ": no answer within " + std::to_string(timeout.count()) + " ms");
-  } else if (status.error_code() == grpc::StatusCode::CANCELLED) {
+    const auto deadline = std::max(since, last_sign_) + timeout;
+    if (Clock::now() < deadline) {
+      call_->changed.wait_until(lock, deadline);
+    } else {
+      fail(lock, Error(ErrorCode::kDeadlineExceeded,
+                       options_.peer + ": no answer within " + std::to_string(timeout.count()) + " ms"));
+    }
+  }
+  return done();
+}
+
+/// After the last answer: how the stream has ended. With the lock.
+template <typename Request, typename Response>
+void FrameStream<Request, Response>::take_status(Lock& lock) {
+  if (ended_) return;
+  reading_ = true;  // the one who takes it
+  call_->release(lock);
+  wait_for_peer(lock, Clock::now(), [&] { return call_->status.has_value(); });
+  reading_ = false;
+  if (ended_) return;
+  const grpc::Status& status = *call_->status;
+  if (status.error_code() == grpc::StatusCode::CANCELLED) {
     error_.emplace(ErrorCode::kUnavailable, options_.peer + " ended the stream: " + status.error_message());
   } else if (!status.ok()) {
     error_.emplace(to_error(status, options_.peer));
@@ -349,7 +536,18 @@ void FrameStream<Request, Response>::end(std::unique_lock<std::mutex>& lock) {
     error_.emplace(ErrorCode::kUnavailable, options_.peer + " ended the stream with frames unanswered");
   }
   ended_ = true;
-  changed_.notify_all();
+  call_->changed.notify_all();
+}
+
+/// Ends the stream at once, and leaves the call to gRPC. With the lock.
+template <typename Request, typename Response>
+void FrameStream<Request, Response>::fail(Lock& lock, const Error& error) {
+  if (ended_) return;
+  ended_ = true;
+  error_ = error;
+  call_->changed.notify_all();
+  call_->cancel();
+  call_->release(lock);
 }
 
 template <typename Request, typename Response>
@@ -360,47 +558,22 @@ void FrameStream<Request, Response>::throw_if_ended_badly() const {
 template <typename Request, typename Response>
 void FrameStream<Request, Response>::close() {
   const std::lock_guard write_lock(write_mutex_);
-  {
-    const std::lock_guard lock(mutex_);
-    if (closed_ || ended_) return;
-    closed_ = true;
-  }
-  // Without the lock: cancel(), which gRPC's own threads may call, must never wait for the network.
-  stream_->WritesDone();
+  Lock lock(call_->mutex);
+  if (closed_ || ended_) return;
+  closed_ = true;
+  if (!call_->released()) call_->start_writes_done(lock);
 }
 
 template <typename Request, typename Response>
 void FrameStream<Request, Response>::cancel() {
-  const std::lock_guard lock(mutex_);
-  if (ended_) return;
-  cancelled_ = true;
-  context_.TryCancel();
+  Lock lock(call_->mutex);
+  fail(lock, Error(ErrorCode::kCancelled, options_.peer + ": cancelled"));
 }
 
 template <typename Request, typename Response>
 std::uint32_t FrameStream<Request, Response>::in_flight() const {
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard lock(call_->mutex);
   return in_flight_;
-}
-
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::watch() {
-  std::unique_lock lock(mutex_);
-  while (!destroyed_) {
-    if (ended_ || timed_out_ || cancelled_ || !reading_since_.has_value() ||
-        (opened_ && in_flight_ == 0 && !options_.server_driven)) {
-      changed_.wait(lock);
-      continue;
-    }
-    const auto since = opened_ ? std::max(*reading_since_, last_push_) : *reading_since_;
-    const auto deadline = since + (opened_ ? options_.frame_timeout : options_.open_timeout);
-    if (Clock::now() >= deadline) {
-      timed_out_ = true;
-      context_.TryCancel();
-    } else {
-      changed_.wait_until(lock, deadline);
-    }
-  }
 }
 
 }  // namespace pleat::rpc

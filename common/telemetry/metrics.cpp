@@ -6,6 +6,8 @@
 #include <prometheus/registry.h>
 #include <prometheus/text_serializer.h>
 
+#include <atomic>
+
 #include "common/base/error.hpp"
 #include "common/telemetry/page_server.hpp"
 
@@ -38,6 +40,7 @@ struct Metrics::State {
   }
 
   std::string service;
+  std::atomic<int> open_sessions{0};
   std::shared_ptr<prometheus::Registry> registry;
   prometheus::Family<prometheus::Histogram>& latency;
   prometheus::Family<prometheus::Counter>& frames;
@@ -62,7 +65,12 @@ void Metrics::frame_done(const std::string& stage, double seconds, bool ok) {
   state_->frames.Add({{"service", state_->service}, {"stage", stage}, {"result", ok ? "ok" : "error"}}).Increment();
 }
 
-void Metrics::add_sessions(int delta) { state_->sessions.Add({{"service", state_->service}}).Increment(delta); }
+void Metrics::add_sessions(int delta) {
+  state_->open_sessions += delta;
+  state_->sessions.Add({{"service", state_->service}}).Increment(delta);
+}
+
+int Metrics::sessions() const { return state_->open_sessions; }
 
 void Metrics::add_inflight(const std::string& stage, int delta) {
   state_->inflight.Add({{"service", state_->service}, {"stage", stage}}).Increment(delta);

@@ -28,6 +28,7 @@ class Metrics {
 
   void frame_done(const std::string& stage, double seconds, bool ok);
   void add_sessions(int delta);
+  int sessions() const;
   void add_inflight(const std::string& stage, int delta);
   void set_queue_depth(const std::string& edge, std::size_t depth);
   void count(const std::string& name, double amount = 1);

@@ -3,6 +3,7 @@
 #include <google/protobuf/util/message_differencer.h>
 
 #include <algorithm>
+#include <cmath>
 #include <tuple>
 #include <utility>
 
@@ -32,7 +33,10 @@ struct ToImageRpc {
   using Service = v1::Conversion;
   using Request = v1::ToImageRequest;
   using Response = v1::ToImageResponse;
-  static auto start(Service::Stub& stub, grpc::ClientContext* context) { return stub.ToImage(context); }
+  static void start(Service::Stub& stub, grpc::ClientContext* context,
+                    grpc::ClientBidiReactor<Request, Response>* call) {
+    stub.async()->ToImage(context, call);
+  }
   static void absorb(PipelineFrame& frame, v1::ImageFrame& answer) {
     add_times(frame, *answer.mutable_stage_times());
     frame.image.Swap(&answer);
@@ -56,7 +60,10 @@ struct UpscaleRpc {
   using Service = v1::SuperResolution;
   using Request = v1::UpscaleRequest;
   using Response = v1::UpscaleResponse;
-  static auto start(Service::Stub& stub, grpc::ClientContext* context) { return stub.Upscale(context); }
+  static void start(Service::Stub& stub, grpc::ClientContext* context,
+                    grpc::ClientBidiReactor<Request, Response>* call) {
+    stub.async()->Upscale(context, call);
+  }
   static void absorb(PipelineFrame& frame, v1::ImageFrame& answer) {
     add_times(frame, *answer.mutable_stage_times());
     frame.image.Swap(&answer);
@@ -73,7 +80,10 @@ struct ToMeshRpc {
   using Service = v1::Conversion;
   using Request = v1::ToMeshRequest;
   using Response = v1::ToMeshResponse;
-  static auto start(Service::Stub& stub, grpc::ClientContext* context) { return stub.ToMesh(context); }
+  static void start(Service::Stub& stub, grpc::ClientContext* context,
+                    grpc::ClientBidiReactor<Request, Response>* call) {
+    stub.async()->ToMesh(context, call);
+  }
   static void absorb(PipelineFrame& frame, v1::MeshFrame& answer) {
     add_times(frame, *answer.mutable_stage_times());
     frame.fine.Swap(answer.mutable_fine());
@@ -98,7 +108,10 @@ struct RefineRpc {
   using Service = v1::Refinement;
   using Request = v1::RefineRequest;
   using Response = v1::RefineResponse;
-  static auto start(Service::Stub& stub, grpc::ClientContext* context) { return stub.Refine(context); }
+  static void start(Service::Stub& stub, grpc::ClientContext* context,
+                    grpc::ClientBidiReactor<Request, Response>* call) {
+    stub.async()->Refine(context, call);
+  }
   static void absorb(PipelineFrame& frame, v1::RefinedFrame& answer) {
     add_times(frame, *answer.mutable_stage_times());
     frame.report.Swap(answer.mutable_report());
@@ -187,6 +200,17 @@ std::vector<std::string> split_addresses(const std::string& service, const std::
   }
   if (addresses.empty()) throw_invalid_argument("--" + service + ": no address");
   return addresses;
+}
+
+void admit(std::int64_t coarse_vertices, std::uint32_t rounds, std::int64_t max_vertices, const std::string& what) {
+  constexpr std::uint32_t kMaxRounds = 5;
+  if (rounds > kMaxRounds) throw_invalid_argument(what + ": " + std::to_string(rounds) + " subdivisions, at most 5");
+  const double fine = static_cast<double>(coarse_vertices) * std::pow(4.0, rounds);
+  if (fine <= static_cast<double>(max_vertices)) return;
+  throw Error(ErrorCode::kResourceExhausted,
+              what + ": " + std::to_string(coarse_vertices) + " vertices, subdivided " + std::to_string(rounds) +
+                  " times about " + std::to_string(static_cast<std::int64_t>(fine)) +
+                  ", more than this coordinator's limit of " + std::to_string(max_vertices));
 }
 
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,

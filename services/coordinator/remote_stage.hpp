@@ -36,11 +36,7 @@ struct LinkOptions {
   telemetry::Metrics* metrics = nullptr;             ///< may be null
 };
 
-/// Whether the same call may succeed later: the service was away, hung, or failed in a way that may be passing.
-inline bool may_pass(ErrorCode code) {
-  return code == ErrorCode::kUnavailable || code == ErrorCode::kDeadlineExceeded || code == ErrorCode::kInternal ||
-         code == ErrorCode::kResourceExhausted;
-}
+using rpc::may_pass;
 
 /// "30 s", or "1500 ms" where seconds would lie.
 inline std::string in_words(std::chrono::milliseconds time) {
@@ -63,9 +59,7 @@ class Outage {
   }
   /// The error to fail with: the last cause (it names service and address), and how long was tried.
   Error gave_up(const Error& cause) const {
-    const bool full = cause.code() == ErrorCode::kResourceExhausted;
-    return Error(full ? cause.code() : ErrorCode::kUnavailable,
-                 std::string(cause.what()) + "; gave up after " + in_words(give_up_));
+    return Error(ErrorCode::kUnavailable, std::string(cause.what()) + "; gave up after " + in_words(give_up_));
   }
 
  private:
@@ -190,7 +184,7 @@ class RemoteStage final : public Stage {
     try {
       // A new channel for each attempt: an old one waits by a schedule of its own before it connects again.
       const auto stub = Rpc::Service::NewStub(options_.link.connect(options_.addresses[r]));
-      Stream stream([&](grpc::ClientContext* context) { return Rpc::start(*stub, context); },
+      Stream stream([&](auto* context, auto* call) { Rpc::start(*stub, context, call); },
                     {.peer = peer(r),
                      .window = options_.window,
                      .open_timeout = options_.link.open_timeout,

@@ -57,12 +57,13 @@ std::string SimulationSource::peer() const { return "simulation at " + options_.
 v1::SimulateOpened SimulationSource::connect() {
   auto fresh = std::make_unique<Connection>();
   fresh->stub = v1::Simulation::NewStub(options_.link.connect(options_.addresses[address_]));
-  fresh->stream = std::make_unique<Stream>([&](grpc::ClientContext* context) { return fresh->stub->Simulate(context); },
-                                           rpc::FrameStreamOptions{.peer = peer(),
-                                                                   .window = options_.window,
-                                                                   .open_timeout = options_.link.open_timeout,
-                                                                   .frame_timeout = options_.link.answer_timeout,
-                                                                   .server_driven = true});
+  fresh->stream =
+      std::make_unique<Stream>([&](auto* context, auto* call) { fresh->stub->async()->Simulate(context, call); },
+                               rpc::FrameStreamOptions{.peer = peer(),
+                                                       .window = options_.window,
+                                                       .open_timeout = options_.link.open_timeout,
+                                                       .frame_timeout = options_.link.answer_timeout,
+                                                       .server_driven = true});
   {
     const std::lock_guard lock(mutex_);
     connection_ = std::move(fresh);

@@ -68,7 +68,8 @@ std::unique_ptr<SuperresProcess::Stream> SuperresProcess::stream() {
   rpc::FrameStreamOptions options;
   options.peer = "superres at " + address_;
   options.window = 1;
-  return std::make_unique<Stream>([this](grpc::ClientContext* context) { return stub_->Upscale(context); }, options);
+  return std::make_unique<Stream>([this](auto* context, auto* call) { stub_->async()->Upscale(context, call); },
+                                  options);
 }
 
 v1::ImageFrame upscale(SuperresProcess::Stream& stream, const v1::UpscaleRequest& request) {

@@ -45,7 +45,7 @@ std::shared_ptr<Batcher> SuperResolutionService::batcher(const std::string& requ
       const auto unused = std::find_if(loaded_.begin(), loaded_.end(),
                                        [](const auto& entry) { return entry.second.batcher.use_count() == 1; });
       if (unused == loaded_.end()) {
-        throw Error(ErrorCode::kResourceExhausted,
+        throw Error(ErrorCode::kUnavailable,
                     "model '" + name + "': " + std::to_string(loaded_.size()) + " other models are in use");
       }
       loaded_.erase(unused);

@@ -188,7 +188,7 @@ EnhanceSession Client::enhance(const EnhanceOptions& options) const {
   stream.peer = state_->peer;
   stream.window = open->window();
   session->stream = std::make_unique<EnhanceSession::State::Stream>(
-      [stub = state_->stub](grpc::ClientContext* context) { return stub->Enhance(context); }, stream);
+      [stub = state_->stub](auto* context, auto* call) { stub->async()->Enhance(context, call); }, stream);
   const v1::EnhanceOpened opened = session->stream->open(request);
   if (opened.window() > 0 && opened.window() < stream.window) {
     throw_internal(state_->peer + ": the session's window is smaller than asked for");

@@ -24,7 +24,7 @@ class SampleRefinement final : public v1::Refinement::Service {
                       grpc::ServerReaderWriter<v1::RefineResponse, v1::RefineRequest>* stream) override {
     sessions_++;
     const grpc::Status status =
-        serve_frames(context, stream, {"refinement", metrics_, concurrency_},
+        serve_frames(context, stream, {"refinement", metrics_, concurrency_, idle_timeout_, reader_timeout_},
                      [&](const v1::RefineOpen& open, v1::RefineOpened* opened) {
                        if (open.coarse().hash() == "bad") throw_invalid_argument("open.coarse: bad");
                        opened->set_fine_hash("fine of " + open.coarse().hash());
@@ -36,6 +36,7 @@ class SampleRefinement final : public v1::Refinement::Service {
     return status;
   }
 
+  std::chrono::milliseconds idle_timeout_ = kIdleTimeout, reader_timeout_ = kReaderTimeout;
   std::atomic<int> sessions_ = 0;
   std::atomic<int> frames_ = 0;
 

@@ -1,6 +1,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <sys/prctl.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <sys/wait.h>
@@ -196,6 +197,7 @@ class Process {
     EXPECT_EQ(pipe2(error, O_CLOEXEC), 0);
     pid_ = fork();
     if (pid_ == 0) {
+      prctl(PR_SET_PDEATHSIG, SIGKILL);  // also when the test ends badly
       dup2(out[1], 1);
       dup2(error[1], 2);
       std::vector<char*> argv = {const_cast<char*>(PLEAT_RPC_SAMPLE)};
@@ -263,7 +265,7 @@ TEST(ServiceProcess, DrainsAnOpenStreamAndObeysASecondSignal) {
     FrameStreamOptions options;
     options.peer = "sample";
     FrameStream<v1::RefineRequest, v1::RefineResponse> stream(
-        [&](grpc::ClientContext* context) { return stub->Refine(context); }, options);
+        [&](auto* context, auto* call) { stub->async()->Refine(context, call); }, options);
     v1::RefineRequest request;
     request.mutable_open();
     stream.open(request);
@@ -276,6 +278,70 @@ TEST(ServiceProcess, DrainsAnOpenStreamAndObeysASecondSignal) {
   EXPECT_EQ(with_open_stream("0.3", 1), 0);
   EXPECT_EQ(with_open_stream("60", 2), 128 + SIGTERM);
   std::filesystem::remove(address.substr(5));
+}
+
+/// A process that is stopped keeps its connections and reads nothing: writes fill the socket and stay.
+class StoppedProcess : public ::testing::Test {
+ protected:
+  StoppedProcess() : address_("unix:" + socket_file("stopped")), process_({"--listen", address_}) {
+    process_.line();
+    stub_ = v1::Refinement::NewStub(create_channel(address_));
+    FrameStreamOptions options;
+    options.peer = "sample";
+    options.frame_timeout = 300ms;
+    options.window = 64;
+    stream_ = std::make_unique<RefineStream>([&](auto* context, auto* call) { stub_->async()->Refine(context, call); },
+                                             options);
+    v1::RefineRequest request;
+    request.mutable_open()->set_window(64);
+    stream_->open(request);
+    process_.signal(SIGSTOP);
+  }
+  ~StoppedProcess() override { std::filesystem::remove(address_.substr(5)); }
+
+  /// Until the stream fails.
+  void push_without_end() {
+    v1::RefineRequest frame;
+    frame.mutable_frame()->mutable_fine()->mutable_positions()->Resize(1 << 20, 1.0f);
+    while (true) stream_->push(frame);
+  }
+
+  using RefineStream = FrameStream<v1::RefineRequest, v1::RefineResponse>;
+  const std::string address_;
+  Process process_;
+  std::unique_ptr<v1::Refinement::Stub> stub_;
+  std::unique_ptr<RefineStream> stream_;
+};
+
+TEST_F(StoppedProcess, AWriteFailsInTime) {
+  EXPECT_EQ(code_of([&] { push_without_end(); }, "sample: no answer within 300 ms"), ErrorCode::kDeadlineExceeded);
+  v1::RefineResponse response;
+  EXPECT_EQ(code_of([&] { stream_->pop(&response); }, "no answer"), ErrorCode::kDeadlineExceeded);
+}
+
+TEST_F(StoppedProcess, CancelEndsAWrite) {
+  std::thread canceller([&] {
+    std::this_thread::sleep_for(50ms);
+    stream_->cancel();
+  });
+  EXPECT_EQ(code_of([&] { push_without_end(); }, "sample: cancelled"), ErrorCode::kCancelled);
+  canceller.join();
+}
+
+TEST_F(StoppedProcess, IsUsableAgainWhenItGoesOn) {
+  EXPECT_EQ(code_of([&] { push_without_end(); }, "no answer"), ErrorCode::kDeadlineExceeded);
+  process_.signal(SIGCONT);
+  FrameStreamOptions options;
+  options.peer = "sample";
+  RefineStream again([&](auto* context, auto* call) { stub_->async()->Refine(context, call); }, options);
+  v1::RefineRequest request;
+  request.mutable_open();
+  again.open(request);
+  request.mutable_frame()->mutable_coarse()->set_index(3);
+  again.push(request);
+  v1::RefineResponse response;
+  ASSERT_TRUE(again.pop(&response));
+  EXPECT_EQ(response.frame().fine().index(), 3u);
 }
 
 TEST(ServiceProcess, ExitCodesAndMessages) {

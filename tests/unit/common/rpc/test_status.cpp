@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <new>
+#include <system_error>
 
 #include "common/rpc/channel.hpp"
 #include "common/rpc/status.hpp"
@@ -41,6 +42,30 @@ TEST(Channel, LocalAddresses) {
   }
   EXPECT_THROW(create_channel("10.0.0.1:80"), Error);
   EXPECT_THROW(create_channel(""), Error);
+}
+
+TEST(Status, MessagesAreBounded) {
+  const std::string long_text = "job '" + std::string(20'000, 'x') + "' does not exist";
+  const grpc::Status status = to_status(Error(ErrorCode::kNotFound, long_text));
+  EXPECT_LE(status.error_message().size(), kMaxMessageCharacters);
+  EXPECT_TRUE(status.error_message().starts_with("job 'xxx"));
+  EXPECT_TRUE(status.error_message().ends_with("' does not exist"));
+  EXPECT_EQ(bounded("short"), "short");
+}
+
+TEST(Status, OnlyWhatMayPassIsTriedAgain) {
+  EXPECT_TRUE(may_pass(ErrorCode::kUnavailable));
+  EXPECT_TRUE(may_pass(ErrorCode::kDeadlineExceeded));
+  EXPECT_FALSE(may_pass(ErrorCode::kResourceExhausted)) << "an input beyond a limit stays there";
+  EXPECT_FALSE(may_pass(ErrorCode::kInvalidArgument));
+  const grpc::Status full(grpc::StatusCode::RESOURCE_EXHAUSTED, "Server Threadpool Exhausted");
+  EXPECT_TRUE(may_pass(to_error(full, "x").code()));
+}
+
+TEST(Status, AThreadThatCanNotBeHadMayPass) {
+  const auto status =
+      guard([] { throw std::system_error(std::make_error_code(std::errc::resource_unavailable_try_again), "thread"); });
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::UNAVAILABLE);
 }
 
 }  // namespace

@@ -34,7 +34,8 @@ class Stream : public ::testing::Test {
     options.peer = "refinement at here";
     options.window = window;
     options.frame_timeout = timeout;
-    return std::make_unique<RefineStream>([&](grpc::ClientContext* context) { return stub->Refine(context); }, options);
+    return std::make_unique<RefineStream>([&](auto* context, auto* call) { stub->async()->Refine(context, call); },
+                                          options);
   }
   static v1::RefineRequest open_request(std::uint32_t window, const std::string& hash = "mesh") {
     v1::RefineRequest request;
@@ -192,6 +193,43 @@ TEST_F(Stream, TheWatchdogEndsAStuckStream) {
   expect_no_sessions();
 }
 
+TEST_F(Stream, AClientThatSaysNothingIsCutOff) {
+  serve();
+  service->idle_timeout_ = 100ms;
+  const auto expect_cut_off = [&](RefineStream& stream) {
+    v1::RefineResponse response;
+    EXPECT_THROW(stream.pop(&response), Error);
+    expect_no_sessions();
+  };
+  expect_cut_off(*start());  // not even `open`
+  auto stream = start();
+  stream->open(open_request(4));
+  stream->push(frame_request(0));
+  v1::RefineResponse response;
+  ASSERT_TRUE(stream->pop(&response));
+  expect_cut_off(*stream);
+}
+
+TEST_F(Stream, AFrameThatTakesLongIsNoSilence) {
+  serve();
+  service->idle_timeout_ = 50ms;
+  auto stream = start(4, 500ms);
+  stream->open(open_request(4));
+  stream->push(frame_request(SampleRefinement::kStuckFrame));
+  v1::RefineResponse response;
+  EXPECT_EQ(code_of([&] { stream->pop(&response); }, "no answer within 500 ms"), ErrorCode::kDeadlineExceeded);
+}
+
+TEST_F(Stream, AClientThatDoesNotReadIsCutOff) {
+  serve();
+  service->reader_timeout_ = 200ms;
+  auto stream = start(16);
+  stream->open(open_request(16));
+  // More than the sockets hold; nobody pops.
+  for (std::uint64_t k = 0; k < 16; ++k) stream->push(frame_request(k, 1 << 20));
+  expect_no_sessions();
+}
+
 TEST_F(Stream, CancelFreesBothSides) {
   serve();
   auto stream = start();
@@ -236,7 +274,7 @@ TEST_F(Stream, TheClientPacesAServerThatDrives) {
   options.peer = "simulation at here";
   options.server_driven = true;
   FrameStream<v1::SimulateRequest, v1::SimulateResponse> stream(
-      [&](grpc::ClientContext* context) { return simulation_stub->Simulate(context); }, options);
+      [&](auto* context, auto* call) { simulation_stub->async()->Simulate(context, call); }, options);
   v1::SimulateRequest request;
   request.mutable_open()->set_window(3);
   request.mutable_open()->mutable_scene()->set_frames(20);

@@ -42,11 +42,11 @@ class ConversionServer : public testing::Test {
   }
 
   std::unique_ptr<ImageStream> image_stream() {
-    return std::make_unique<ImageStream>([this](auto* context) { return stub_->ToImage(context); },
+    return std::make_unique<ImageStream>([this](auto* context, auto* call) { stub_->async()->ToImage(context, call); },
                                          rpc::FrameStreamOptions{.peer = "conversion"});
   }
   std::unique_ptr<MeshStream> mesh_stream() {
-    return std::make_unique<MeshStream>([this](auto* context) { return stub_->ToMesh(context); },
+    return std::make_unique<MeshStream>([this](auto* context, auto* call) { stub_->async()->ToMesh(context, call); },
                                         rpc::FrameStreamOptions{.peer = "conversion"});
   }
   v1::ToImageRequest image_open() const {

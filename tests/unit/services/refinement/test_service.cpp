@@ -34,7 +34,7 @@ class RefinementServer : public testing::Test {
   }
 
   std::unique_ptr<Stream> stream() {
-    return std::make_unique<Stream>([this](auto* context) { return stub_->Refine(context); },
+    return std::make_unique<Stream>([this](auto* context, auto* call) { stub_->async()->Refine(context, call); },
                                     rpc::FrameStreamOptions{.peer = "refinement"});
   }
   v1::RefineRequest frame(std::uint64_t index, const Positions& fine) const {

@@ -56,7 +56,8 @@ class ServiceTest : public testing::Test {
     rpc::FrameStreamOptions options;
     options.peer = "simulation";
     options.server_driven = true;
-    return std::make_unique<Stream>([&](grpc::ClientContext* context) { return stub_->Simulate(context); }, options);
+    return std::make_unique<Stream>([&](auto* context, auto* call) { stub_->async()->Simulate(context, call); },
+                                    options);
   }
 
   static v1::SimulateRequest open_request(const v1::Scene& scene,

@@ -60,8 +60,9 @@ class ReplacedBundle : public testing::Test {
   }
 
   std::unique_ptr<Stream> session() {
-    auto stream = std::make_unique<Stream>([this](auto* context) { return stub_->Upscale(context); },
-                                           rpc::FrameStreamOptions{.peer = "superres"});
+    auto stream =
+        std::make_unique<Stream>([this](auto* context, auto* call) { stub_->async()->Upscale(context, call); },
+                                 rpc::FrameStreamOptions{.peer = "superres"});
     v1::UpscaleRequest open;
     open.mutable_open()->set_model("small");
     stream->open(open);
