@@ -1,5 +1,6 @@
-// A bidirectional stream, server side, that blocking code can use and still end at any time with a status. (The
-// synchronous API can't: a handler that waits for the client's next message can't return.)
+// Streams, server side, that blocking code can use and still end at any time with a status. (The synchronous API can't:
+// a handler that waits for the client's next message, or for it to read, can't return, and holds one of gRPC's
+// threads.)
 #pragma once
 
 #include <grpcpp/grpcpp.h>
@@ -12,73 +13,89 @@
 
 namespace pleat::coordinator {
 
-/// Reactions only set flags: they run on gRPC's few threads and must not wait. One thread reads, one at a time writes.
-template <typename Request, typename Response>
-class BlockingReactor final : public grpc::ServerBidiReactor<Request, Response> {
+/// What streams to a client have in common; Base is grpc::ServerBidiReactor or grpc::ServerWriteReactor. Reactions only
+/// set flags: they run on gRPC's few threads and must not wait. One thread at a time writes.
+/// Nothing waits longer than the time-outs for the client. A write that it does not take may complete when its
+/// connection ends, long after its user has gone: gRPC has serialised the message by then and owns the reactor.
+template <typename Base, typename Response>
+class BlockingWrites : public Base {
  public:
-  /// gone: called once when the client has gone, in a thread of gRPC's; must not block.
-  static std::shared_ptr<BlockingReactor> make(grpc::CallbackServerContext* context, std::function<void()> gone = {}) {
-    std::shared_ptr<BlockingReactor> reactor(new BlockingReactor(context, std::move(gone)));
-    reactor->self_ = reactor;  // until OnDone
-    return reactor;
-  }
+  using Duration = std::chrono::milliseconds;
 
-  /// The next message, valid until the next call; null when the client has no more, has gone, or after interrupt().
-  const Request* read() {
+  /// gone: called when the client has gone, at once if it has already, in a thread of gRPC's; must not block. It may be
+  /// called after finish().
+  void on_gone(std::function<void()> gone) {
     std::unique_lock lock(mutex_);
-    if (interrupted_ || ended_) return nullptr;
-    reading_ = true;
+    on_gone_ = std::move(gone);
+    const auto call = gone_ ? on_gone_ : nullptr;
     lock.unlock();
-    this->StartRead(&request_);
-    lock.lock();
-    changed_.wait(lock, [this] { return !reading_ || interrupted_; });
-    return reading_ || ended_ ? nullptr : &request_;
+    if (call) call();
   }
 
-  /// Waits until the message is sent. False: the client has gone. After interrupt() a client that does not read has a
-  /// second before it is cut off.
-  bool write(const Response& response) {
+  /// Waits until the message is sent. False: the client has gone, or has not taken it within `timeout` (after
+  /// interrupt(): a second) and is cut off.
+  bool write(const Response& response, Duration timeout) {
     std::unique_lock lock(mutex_);
     if (gone_) return false;
     writing_ = true;
     lock.unlock();
     this->StartWrite(&response);
     lock.lock();
-    changed_.wait(lock, [this] { return !writing_ || interrupted_; });
-    if (!changed_.wait_for(lock, std::chrono::seconds(1), [this] { return !writing_; })) {
+    changed_.wait_for(lock, timeout, [this] { return !writing_ || gone_ || interrupted_; });
+    if (interrupted_) changed_.wait_for(lock, std::chrono::seconds(1), [this] { return !writing_ || gone_; });
+    if (writing_ && !gone_) {
+      timed_out_ = timed_out_ || !interrupted_;
+      gone_ = true;
+      lock.unlock();
       context_->TryCancel();
-      changed_.wait(lock, [this] { return !writing_; });
+      return false;
     }
     return !gone_;
   }
 
-  /// read() returns null from now on. From any thread.
+  /// Whether the client was too slow for a read or a write.
+  bool timed_out() const {
+    const std::lock_guard lock(mutex_);
+    return timed_out_;
+  }
+  bool gone() const {
+    const std::lock_guard lock(mutex_);
+    return gone_;
+  }
+
+  /// Nothing waits for the client any more. From any thread.
   void interrupt() {
     const std::lock_guard lock(mutex_);
     interrupted_ = true;
     changed_.notify_all();
   }
 
-  /// Ends the stream; last call, when nobody writes any more. Waits until nothing of it is left.
+  /// Ends the stream; last call, when nobody writes any more. Waits a moment until nothing of it is left.
   void finish(const grpc::Status& status) {
     this->Finish(status);
     std::unique_lock lock(mutex_);
-    changed_.wait(lock, [this] { return done_; });
+    changed_.wait_for(lock, std::chrono::seconds(1), [this] { return done_; });
   }
 
   /// The same without waiting, for a stream that is refused.
   void refuse(const grpc::Status& status) { this->Finish(status); }
 
- private:
-  BlockingReactor(grpc::CallbackServerContext* context, std::function<void()> gone)
-      : context_(context), on_gone_(std::move(gone)) {}
+ protected:
+  explicit BlockingWrites(grpc::CallbackServerContext* context) : context_(context) {}
 
-  void OnReadDone(bool ok) override {
-    const std::lock_guard lock(mutex_);
-    reading_ = false;
-    ended_ = ended_ || !ok;
-    changed_.notify_all();
+  /// Until gRPC is done with it.
+  template <typename Reactor>
+  static std::shared_ptr<Reactor> keep(Reactor* reactor) {
+    std::shared_ptr<Reactor> kept(reactor);
+    kept->self_ = kept;
+    return kept;
   }
+
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  bool interrupted_ = false, timed_out_ = false;
+
+ private:
   void OnWriteDone(bool ok) override {
     const std::lock_guard lock(mutex_);
     writing_ = false;
@@ -86,27 +103,77 @@ class BlockingReactor final : public grpc::ServerBidiReactor<Request, Response> 
     changed_.notify_all();
   }
   void OnCancel() override {
-    {
-      const std::lock_guard lock(mutex_);
-      gone_ = true;
-      changed_.notify_all();
-    }
-    if (on_gone_) on_gone_();
+    std::unique_lock lock(mutex_);
+    gone_ = true;
+    changed_.notify_all();
+    const auto call = on_gone_;
+    lock.unlock();
+    if (call) call();
   }
   void OnDone() override {
-    const std::shared_ptr<BlockingReactor> last = std::move(self_);
+    const std::shared_ptr<void> last = std::move(self_);
     const std::lock_guard lock(mutex_);
     done_ = true;
     changed_.notify_all();
   }
 
   grpc::CallbackServerContext* const context_;
-  const std::function<void()> on_gone_;
-  std::mutex mutex_;
-  std::condition_variable changed_;
+  std::function<void()> on_gone_;
+  bool writing_ = false, gone_ = false, done_ = false;
+  std::shared_ptr<void> self_;
+};
+
+/// A stream to the client.
+template <typename Response>
+class BlockingWriter final : public BlockingWrites<grpc::ServerWriteReactor<Response>, Response> {
+ public:
+  static std::shared_ptr<BlockingWriter> make(grpc::CallbackServerContext* context) {
+    return BlockingWriter::keep(new BlockingWriter(context));
+  }
+
+ private:
+  explicit BlockingWriter(grpc::CallbackServerContext* context)
+      : BlockingWrites<grpc::ServerWriteReactor<Response>, Response>(context) {}
+};
+
+/// A stream in both directions. One thread reads, one at a time writes.
+template <typename Request, typename Response>
+class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Request, Response>, Response> {
+ public:
+  using typename BlockingWrites<grpc::ServerBidiReactor<Request, Response>, Response>::Duration;
+
+  static std::shared_ptr<BlockingReactor> make(grpc::CallbackServerContext* context) {
+    return BlockingReactor::keep(new BlockingReactor(context));
+  }
+
+  /// The next message, valid until the next call; null when the client has no more, has gone, sent nothing within
+  /// `timeout`, or after interrupt().
+  const Request* read(Duration timeout) {
+    std::unique_lock lock(this->mutex_);
+    if (this->interrupted_ || ended_) return nullptr;
+    reading_ = true;
+    lock.unlock();
+    this->StartRead(&request_);
+    lock.lock();
+    if (!this->changed_.wait_for(lock, timeout, [this] { return !reading_ || this->interrupted_; })) {
+      this->timed_out_ = true;
+    }
+    return reading_ || ended_ ? nullptr : &request_;
+  }
+
+ private:
+  explicit BlockingReactor(grpc::CallbackServerContext* context)
+      : BlockingWrites<grpc::ServerBidiReactor<Request, Response>, Response>(context) {}
+
+  void OnReadDone(bool ok) override {
+    const std::lock_guard lock(this->mutex_);
+    reading_ = false;
+    ended_ = ended_ || !ok;
+    this->changed_.notify_all();
+  }
+
   Request request_;
-  bool reading_ = false, writing_ = false, ended_ = false, gone_ = false, interrupted_ = false, done_ = false;
-  std::shared_ptr<BlockingReactor> self_;
+  bool reading_ = false, ended_ = false;
 };
 
 }  // namespace pleat::coordinator

@@ -6,6 +6,7 @@
 
 #include "common/base/whole_file.hpp"
 #include "common/frame/messages.hpp"
+#include "common/frame/representation_messages.hpp"
 #include "common/store/result.hpp"
 #include "services/coordinator/simulation_source.hpp"
 
@@ -89,6 +90,10 @@ JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
     const v1::ModelDescription model = describe_model(addresses_, link_, request.model(), never);
     SimulationSource source({.addresses = addresses_.simulation, .scene = scene, .checkpoint = {}, .link = link_});
     const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
+    v1::Representation representation = representation_of(model);
+    if (scene.has_subdivision_rounds()) representation.set_subdivision_rounds(scene.subdivision_rounds());
+    admit(coarse.vertex_count(), subdivision_from(representation).rounds, settings_.max_vertices,
+          "scene '" + scene.name() + "'");
     if (!model.topology_hash().empty() && model.topology_hash() != topology_hash(coarse)) {
       throw Error(ErrorCode::kFailedPrecondition, "bundle " + model.model() + " was trained for another mesh (" +
                                                       model.topology_hash() + ", the scene's is " +

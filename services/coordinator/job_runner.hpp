@@ -25,6 +25,7 @@ struct JobSettings {
   std::uint32_t checkpoint_interval = 25;  ///< frames between check-points of the simulation
   std::uint32_t max_frames = 1'000'000;    ///< of one job
   bool compress = true;                    ///< the finished result file
+  std::int64_t max_vertices = 1'000'000;   ///< of the fine mesh of a job
 };
 
 /// Takes up unfinished jobs of the table at once. Thread-safe.

@@ -1,5 +1,7 @@
 #include "services/coordinator/job_table.hpp"
 
+#include <fcntl.h>
+#include <sys/file.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -46,6 +48,12 @@ JobTable::JobTable(const fs::path& data) : jobs_(data / "jobs") {
     throw_invalid_argument("data folder " + data.string() +
                            " can't be written: " + (error ? error.message() : std::strerror(errno)));
   }
+  lock_ = ::open((jobs_ / ".lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+  if (lock_ < 0) throw_invalid_argument("data folder " + data.string() + " can't be locked: " + std::strerror(errno));
+  if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
+    ::close(lock_);
+    throw Error(ErrorCode::kUnavailable, "data folder " + data.string() + " is in use by another coordinator");
+  }
   for (const auto& folder : fs::directory_iterator(jobs_)) {
     const fs::path file = folder.path() / "job.json";
     try {
@@ -61,6 +69,8 @@ JobTable::JobTable(const fs::path& data) : jobs_(data / "jobs") {
     }
   }
 }
+
+JobTable::~JobTable() { ::close(lock_); }
 
 std::pair<JobRecord, bool> JobTable::create(const JobRequest& request) {
   if (!request.id.empty() && !is_valid_job_id(request.id)) {

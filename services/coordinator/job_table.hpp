@@ -31,9 +31,13 @@ struct JobRequest {
 /// so that a process killed at any moment leaves whole ones. Thread-safe.
 class JobTable {
  public:
-  /// Makes the folder if need be and reads every record. Unreadable records are left alone and listed in warnings().
-  /// Throws kInvalidArgument if the folder can't be made or written.
+  /// Makes the folder if need be, locks it, and reads every record. Unreadable records are left alone and listed in
+  /// warnings(). Throws kInvalidArgument if the folder can't be made or written, kUnavailable if another coordinator
+  /// has it: two would work on the same jobs. The lock goes with the process, however that ends.
   explicit JobTable(const std::filesystem::path& data);
+  ~JobTable();
+  JobTable(const JobTable&) = delete;
+  JobTable& operator=(const JobTable&) = delete;
 
   const std::vector<std::string>& warnings() const { return warnings_; }
 
@@ -67,6 +71,7 @@ class JobTable {
   void save(Entry& entry);
 
   std::filesystem::path jobs_;
+  int lock_ = -1;
   std::vector<std::string> warnings_;
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;

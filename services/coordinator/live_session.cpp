@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <set>
+#include <system_error>
 #include <thread>
 #include <utility>
 
@@ -48,15 +49,19 @@ std::string fault_of(const v1::Frame& frame, Eigen::Index vertices) {
 
 }  // namespace
 
-class LiveSessions::Session {
+class LiveSessions::Session : public std::enable_shared_from_this<Session> {
  public:
   Session(const LiveSessions& owner, grpc::CallbackServerContext* context)
-      : owner_(owner), reactor_(Reactor::make(context, [this] { client_gone(); })) {}
+      : owner_(owner), reactor_(Reactor::make(context)) {}
 
   Reactor* reactor() const { return reactor_.get(); }
 
   /// The whole session, in its own thread.
   void run() {
+    // A client may be found gone long after the session has ended.
+    reactor_->on_gone([session = this->weak_from_this()] {
+      if (const auto alive = session.lock()) alive->client_gone();
+    });
     auto* metrics = owner_.link_.metrics;
     if (metrics != nullptr) metrics->add_sessions(1);
     const grpc::Status status = rpc::guard([&] { serve(); });
@@ -72,8 +77,11 @@ class LiveSessions::Session {
 
  private:
   void serve() {
-    const v1::EnhanceRequest* first = reactor_->read();
-    if (first == nullptr) return;
+    const v1::EnhanceRequest* first = reactor_->read(milliseconds(owner_.settings_.open_timeout_s));
+    if (first == nullptr) {
+      if (reactor_->timed_out()) fail_slow("sent no `open`", owner_.settings_.open_timeout_s);
+      return;
+    }
     if (!first->has_open()) throw_invalid_argument("the first message of a stream must be `open`");
     const v1::EnhanceOpen open = first->open();
     window_ = rpc::checked_window(open.window());
@@ -99,6 +107,8 @@ class LiveSessions::Session {
     session.representation = representation_of(session.model);
     if (open.has_subdivision_rounds()) session.representation.set_subdivision_rounds(open.subdivision_rounds());
     if (open.has_subdivision_rule()) session.representation.set_subdivision_rule(open.subdivision_rule());
+    admit(coarse_vertices_, subdivision_from(session.representation).rounds, owner_.settings_.max_vertices,
+          "open.coarse");
     session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
     session.obstacles = open.obstacles();
     if (open.has_clearance_m()) session.clearance_m = open.clearance_m();
@@ -116,6 +126,7 @@ class LiveSessions::Session {
     take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime);
     pipeline.close();
     pipeline.wait();
+    if (silent_) fail_slow("sent no frame", owner_.settings_.idle_timeout_s);
     if (broken_sequence_) throw_invalid_argument("after `open` only frames may follow");
     if (is_draining()) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
   }
@@ -129,15 +140,25 @@ class LiveSessions::Session {
     opened.set_device(session.model.device());
     opened.set_precision(session.model.precision());
     opened.set_window(window_);
-    reactor_->write(response);
+    reactor_->write(response, milliseconds(owner_.settings_.reader_timeout_s));
+  }
+
+  static std::chrono::milliseconds milliseconds(double seconds) {
+    return std::chrono::milliseconds(std::llround(seconds * 1e3));
+  }
+  [[noreturn]] static void fail_slow(const std::string& what, double seconds) {
+    throw Error(ErrorCode::kDeadlineExceeded, "the client " + what + " for " + in_words(milliseconds(seconds)));
   }
 
   /// Reads until the client has no more. At most `window` frames are unanswered.
   void take_frames(EnhancementPipeline& pipeline, double frame_time_s) {
     VelocityFiller velocities(frame_time_s);
     for (std::uint64_t sequence = 0; wait_for_room(); ++sequence) {
-      const v1::EnhanceRequest* request = reactor_->read();
-      if (request == nullptr) return;
+      const v1::EnhanceRequest* request = reactor_->read(milliseconds(owner_.settings_.idle_timeout_s));
+      if (request == nullptr) {
+        silent_ = reactor_->timed_out();
+        return;
+      }
       if (!request->has_frame()) {
         broken_sequence_ = true;
         return;
@@ -180,7 +201,10 @@ class LiveSessions::Session {
       enhanced.mutable_report()->Swap(&frame.report);
       enhanced.mutable_stage_times()->Swap(&frame.stage_times);
     }
-    const bool written = reactor_->write(response);
+    const bool written = reactor_->write(response, milliseconds(owner_.settings_.reader_timeout_s));
+    if (!written && reactor_->timed_out()) {
+      fail_slow("did not take an answer", owner_.settings_.reader_timeout_s);
+    }
     {
       const std::lock_guard lock(mutex_);
       --in_flight_;
@@ -243,7 +267,7 @@ class LiveSessions::Session {
   std::shared_ptr<Reactor> reactor_;
   std::uint32_t window_ = rpc::kDefaultWindow;
   Eigen::Index coarse_vertices_ = 0;
-  bool broken_sequence_ = false;
+  bool broken_sequence_ = false, silent_ = false;
   std::mutex attachment_mutex_;  ///< before mutex_
   EnhancementPipeline* pipeline_ = nullptr;
   std::mutex mutex_;
@@ -274,13 +298,18 @@ LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context)
   auto session = std::make_shared<Session>(*this, context);
   sessions_.insert(session);
   Reactor* reactor = session->reactor();
-  std::thread([this, session]() mutable {
-    session->run();
-    const std::lock_guard ended(mutex_);
+  try {
+    std::thread([this, session]() mutable {
+      session->run();
+      const std::lock_guard ended(mutex_);
+      sessions_.erase(session);
+      session.reset();
+      changed_.notify_all();
+    }).detach();
+  } catch (const std::system_error&) {
     sessions_.erase(session);
-    session.reset();
-    changed_.notify_all();
-  }).detach();
+    reactor->refuse({grpc::StatusCode::UNAVAILABLE, "this host has no thread to spare"});
+  }
   return reactor;
 }
 

@@ -14,6 +14,10 @@ namespace pleat::coordinator {
 
 struct LiveSettings {
   std::size_t max_sessions = 32;
+  double open_timeout_s = 10;             ///< for the client's first message
+  double idle_timeout_s = 300;            ///< for its next frame
+  double reader_timeout_s = 30;           ///< for it to take an answer
+  std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session or job
 };
 
 /// All live sessions of a coordinator; each has a thread that reads, and the pipeline's own. Thread-safe.

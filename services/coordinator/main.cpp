@@ -30,8 +30,15 @@ int run(int argc, char** argv) {
       .add("checkpoint-interval", coordinator.jobs.checkpoint_interval, "frames between check-points of a simulation")
       .add("max-frames", coordinator.jobs.max_frames, "longest job")
       .add("compress", coordinator.jobs.compress, "compress finished result files")
-      .add("max-sessions", coordinator.live.max_sessions, "live sessions at the same time");
+      .add("max-sessions", coordinator.live.max_sessions, "live sessions at the same time")
+      .add("max-watchers", coordinator.max_watchers, "calls of WatchJob at the same time")
+      .add("max-vertices", coordinator.jobs.max_vertices, "largest fine mesh of a session or job")
+      .add("open-timeout-s", coordinator.live.open_timeout_s, "a session that sends no `open` this long is ended")
+      .add("idle-timeout-s", coordinator.live.idle_timeout_s, "a session that sends no frame this long is ended")
+      .add("reader-timeout-s", coordinator.live.reader_timeout_s,
+           "a client that does not take what it asked for this long is cut off");
   if (!options.parse(argc, argv)) return 0;
+  coordinator.live.max_vertices = coordinator.jobs.max_vertices;
   pleat::telemetry::set_up_logging("coordinator", server.log);
   spdlog::info("options: {}", options.effective());
 

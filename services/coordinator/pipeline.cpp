@@ -202,9 +202,11 @@ std::vector<std::string> split_addresses(const std::string& service, const std::
   return addresses;
 }
 
-void admit(std::int64_t coarse_vertices, std::uint32_t rounds, std::int64_t max_vertices, const std::string& what) {
-  constexpr std::uint32_t kMaxRounds = 5;
-  if (rounds > kMaxRounds) throw_invalid_argument(what + ": " + std::to_string(rounds) + " subdivisions, at most 5");
+void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what) {
+  if (rounds > kMaxSubdivisionRounds) {
+    throw_invalid_argument(what + ": " + std::to_string(rounds) + " subdivisions, at most " +
+                           std::to_string(kMaxSubdivisionRounds));
+  }
   const double fine = static_cast<double>(coarse_vertices) * std::pow(4.0, rounds);
   if (fine <= static_cast<double>(max_vertices)) return;
   throw Error(ErrorCode::kResourceExhausted,

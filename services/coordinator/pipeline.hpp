@@ -39,6 +39,11 @@ struct PipelineSession {
   std::uint64_t first_sequence = 0;  ///< of the first frame
 };
 
+/// Before anything is made of a mesh: throws kResourceExhausted if `rounds` subdivisions of it have more than
+/// `max_vertices` vertices (each multiplies them by four), and kInvalidArgument for more than kMaxSubdivisionRounds.
+/// `what` goes before the message.
+void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what);
+
 /// Asks the super-resolution service what a bundle is, until it answers or the outage is too long. `name` empty: the
 /// service's default. `cancelled` is asked between attempts. Errors: kNotFound, kUnavailable (naming the address), ...
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,

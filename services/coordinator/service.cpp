@@ -4,6 +4,8 @@
 
 #include <chrono>
 #include <cmath>
+#include <system_error>
+#include <thread>
 #include <utility>
 
 #include "services/coordinator/result_events.hpp"
@@ -40,6 +42,12 @@ JobSettings checked(JobSettings settings) {
   return settings;
 }
 
+LiveSettings checked(LiveSettings settings) {
+  milliseconds_of(settings.open_timeout_s, "open-timeout-s");
+  milliseconds_of(settings.idle_timeout_s, "idle-timeout-s");
+  return settings;
+}
+
 v1::Job::State to_message(JobState state) {
   switch (state) {
     case JobState::kQueued:
@@ -63,7 +71,10 @@ v1::Job::State to_message(JobState state) {
 CoordinatorService::CoordinatorService(const CoordinatorOptions& options, telemetry::Metrics* metrics)
     : table_(options.data),
       runner_(table_, addresses_of(options), link_of(options, metrics), checked(options.jobs)),
-      live_(addresses_of(options), link_of(options, metrics), options.live) {
+      live_(addresses_of(options), link_of(options, metrics), checked(options.live)),
+      metrics_(metrics),
+      max_watchers_(options.max_watchers),
+      reader_timeout_(milliseconds_of(options.live.reader_timeout_s, "reader-timeout-s")) {
   for (const std::string& warning : table_.warnings()) spdlog::warn("{}", warning);
 }
 
@@ -95,8 +106,17 @@ grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* CoordinatorSer
   return live_.start(context);
 }
 
+CoordinatorService::~CoordinatorService() {
+  std::unique_lock lock(watchers_mutex_);
+  watchers_changed_.wait(lock, [this] { return watchers_.empty(); });
+}
+
 void CoordinatorService::drain() {
   draining_ = true;
+  {
+    const std::lock_guard lock(watchers_mutex_);
+    for (const auto& watcher : watchers_) watcher->interrupt();
+  }
   live_.drain();
   runner_.stop();
 }
@@ -105,17 +125,16 @@ void CoordinatorService::drain() {
 /// file.
 class CoordinatorService::Watcher {
  public:
-  Watcher(const CoordinatorService& service, const v1::WatchJobRequest& request,
-          grpc::ServerWriter<v1::JobEvent>& writer)
+  Watcher(const CoordinatorService& service, const v1::WatchJobRequest& request, EventWriter& writer)
       : service_(service), request_(request), writer_(writer), next_(request.from_index()) {}
 
   /// Until the job has ended and everything was sent. False: the client has gone.
-  bool run(const grpc::ServerContext& context) {
+  bool run() {
     std::uint64_t revision = 0;
     JobRecord record = service_.table_.get(request_.id());
     if (!send_progress(record)) return false;
     while (true) {
-      if (context.IsCancelled()) return false;
+      if (writer_.gone()) return false;
       if (service_.draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
       // Frames before the end: what is complete now stays readable, whatever becomes of the job.
       if (request_.include_frames() && !send_frames(record.frames_complete)) return false;
@@ -133,7 +152,7 @@ class CoordinatorService::Watcher {
     *event.mutable_progress() = service_.to_job(record);
     progress_sent_ = std::chrono::steady_clock::now();
     state_sent_ = record.state;
-    return writer_.Write(event);
+    return write(event);
   }
 
   bool send_frames(std::uint64_t end) {
@@ -145,16 +164,18 @@ class CoordinatorService::Watcher {
         const ResultReader& reader = file(0);
         opened = make_opened_event(reader.info().topology, reader.info().obstacles);
       }
-      if (!writer_.Write(*opened)) return false;
+      if (!write(*opened)) return false;
       opened_ = true;
     }
     for (; next_ < end; ++next_) {
       EventPtr event = job ? job->feed.frame(next_) : nullptr;
       if (!event) event = read_event(file(next_), next_);
-      if (!writer_.Write(*event)) return false;
+      if (!write(*event)) return false;
     }
     return true;
   }
+
+  bool write(const v1::JobEvent& event) { return writer_.write(event, service_.reader_timeout_); }
 
   /// The result file, opened anew when it has grown beyond what the open one knows.
   const ResultReader& file(std::uint64_t index) {
@@ -168,7 +189,7 @@ class CoordinatorService::Watcher {
 
   const CoordinatorService& service_;
   const v1::WatchJobRequest& request_;
-  grpc::ServerWriter<v1::JobEvent>& writer_;
+  EventWriter& writer_;
   std::uint64_t next_;
   bool opened_ = false;
   std::optional<ResultReader> reader_;
@@ -176,13 +197,35 @@ class CoordinatorService::Watcher {
   JobState state_sent_ = JobState::kQueued;
 };
 
-grpc::Status CoordinatorService::WatchJob(grpc::ServerContext* context, const v1::WatchJobRequest* request,
-                                          grpc::ServerWriter<v1::JobEvent>* writer) {
-  return rpc::guard([&]() -> grpc::Status {
-    return Watcher(*this, *request, *writer).run(*context)
-               ? grpc::Status::OK
-               : grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
-  });
+grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::CallbackServerContext* context,
+                                                                     const v1::WatchJobRequest* asked) {
+  auto writer = EventWriter::make(context);
+  const std::lock_guard lock(watchers_mutex_);
+  if (draining_) {
+    writer->refuse({grpc::StatusCode::UNAVAILABLE, "the coordinator is stopping"});
+  } else if (watchers_.size() >= max_watchers_) {
+    writer->refuse({grpc::StatusCode::RESOURCE_EXHAUSTED,
+                    "there are " + std::to_string(watchers_.size()) + " watchers of jobs already"});
+  } else {
+    try {
+      std::thread([this, writer, request = *asked] {
+        if (metrics_ != nullptr) metrics_->add_sessions(1);
+        writer->finish(rpc::guard([&]() -> grpc::Status {
+          if (Watcher(*this, request, *writer).run()) return grpc::Status::OK;
+          return writer->timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "the client does not read")
+                                     : grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
+        }));
+        if (metrics_ != nullptr) metrics_->add_sessions(-1);
+        const std::lock_guard ended(watchers_mutex_);
+        watchers_.erase(writer);
+        watchers_changed_.notify_all();
+      }).detach();
+      watchers_.insert(writer);
+    } catch (const std::system_error&) {
+      writer->refuse({grpc::StatusCode::UNAVAILABLE, "this host has no thread to spare"});
+    }
+  }
+  return writer.get();
 }
 
 v1::Job CoordinatorService::to_job(const JobRecord& record) const {

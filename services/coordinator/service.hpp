@@ -2,8 +2,11 @@
 #pragma once
 
 #include <atomic>
+#include <condition_variable>
 #include <filesystem>
 #include <memory>
+#include <mutex>
+#include <set>
 #include <string>
 
 #include "common/rpc/channel.hpp"
@@ -24,19 +27,24 @@ struct CoordinatorOptions {
   rpc::TlsOptions service_tls;      ///< towards the services
   double give_up_s = 30;            ///< a service that is away this long fails its sessions
   double answer_timeout_s = 60;     ///< longest wait for one frame, or for a session to open
+  std::size_t max_watchers = 256;   ///< calls of WatchJob at the same time
   JobSettings jobs;
   LiveSettings live;
 };
 
-class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enhance<v1::Coordinator::Service> {
+/// Streams have threads of their own: those of gRPC stay free for unary calls and health checks.
+class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enhance<
+                                     v1::Coordinator::WithCallbackMethod_WatchJob<v1::Coordinator::Service>> {
  public:
   /// Reads the data folder and takes up unfinished jobs. Throws kInvalidArgument (an option, the folder).
   /// metrics may be null and must outlive the service.
   CoordinatorService(const CoordinatorOptions& options, telemetry::Metrics* metrics);
+  /// Waits until the last stream has ended; call drain() and stop the server first.
+  ~CoordinatorService() override;
 
   grpc::Status CreateJob(grpc::ServerContext* context, const v1::CreateJobRequest* request, v1::Job* job) override;
-  grpc::Status WatchJob(grpc::ServerContext* context, const v1::WatchJobRequest* request,
-                        grpc::ServerWriter<v1::JobEvent>* writer) override;
+  grpc::ServerWriteReactor<v1::JobEvent>* WatchJob(grpc::CallbackServerContext* context,
+                                                   const v1::WatchJobRequest* request) override;
   grpc::Status CancelJob(grpc::ServerContext* context, const v1::CancelJobRequest* request, v1::Job* job) override;
   grpc::Status ListJobs(grpc::ServerContext* context, const v1::ListJobsRequest* request,
                         v1::ListJobsResponse* response) override;
@@ -48,6 +56,7 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   void drain();
 
  private:
+  using EventWriter = BlockingWriter<v1::JobEvent>;
   class Watcher;
 
   v1::Job to_job(const JobRecord& record) const;
@@ -56,6 +65,12 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   JobTable table_;
   JobRunner runner_;
   LiveSessions live_;
+  telemetry::Metrics* const metrics_;
+  const std::size_t max_watchers_;
+  const std::chrono::milliseconds reader_timeout_;
+  std::mutex watchers_mutex_;
+  std::condition_variable watchers_changed_;
+  std::set<std::shared_ptr<EventWriter>> watchers_;
 };
 
 }  // namespace pleat::coordinator

@@ -393,5 +393,31 @@ TEST_F(JobsTest, ADamagedPartialFileStartsTheJobAnew) {
   EXPECT_EQ(job.summary().penetrations(), 1U);
 }
 
+TEST_F(JobsTest, WatchersThatDoNotReadLockNobodyOut) {
+  options_.max_watchers = 8;
+  options_.live.reader_timeout_s = 0.3;
+  start();
+  create(3, "job");
+  finished("job");
+  // A job that nobody works on: its watchers would wait for ever.
+  fakes_.refinement().faults.delay(std::chrono::milliseconds(200));
+  create(500, "long");
+  std::vector<std::unique_ptr<grpc::ClientContext>> contexts;
+  std::vector<std::unique_ptr<grpc::ClientReader<v1::JobEvent>>> watchers;
+  v1::WatchJobRequest request;
+  request.set_id("long");
+  for (int i = 0; i < 8; ++i) {
+    contexts.push_back(std::make_unique<grpc::ClientContext>());
+    watchers.push_back(stub_->WatchJob(contexts.back().get(), request));
+  }
+  ASSERT_TRUE(eventually([&] { return metrics_.sessions() == 8; }));
+  EXPECT_EQ(get("job").state(), v1::Job::STATE_DONE) << "unary calls have threads of their own";
+  EXPECT_EQ(watch("job", 0, false).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  for (const auto& context : contexts) context->TryCancel();
+  for (const auto& watcher : watchers) EXPECT_EQ(watcher->Finish().error_code(), grpc::StatusCode::CANCELLED);
+  EXPECT_TRUE(eventually([&] { return watch("job", 0, false).ok(); }));
+  cancel("long");
+}
+
 }  // namespace
 }  // namespace pleat::coordinator

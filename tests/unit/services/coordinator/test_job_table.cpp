@@ -45,6 +45,15 @@ TEST_F(JobTableTest, ARetriedRequestMakesOneJob) {
   expect_code(ErrorCode::kInvalidArgument, [&] { table.create(request("../a")); });
 }
 
+TEST_F(JobTableTest, AFolderHasOneCoordinator) {
+  {
+    JobTable table(data_);
+    expect_code(ErrorCode::kUnavailable, [&] { JobTable second(data_); });
+    EXPECT_NO_THROW(table.create(request("a"))) << "the first one goes on";
+  }
+  EXPECT_TRUE(JobTable(data_).contains("a"));
+}
+
 TEST_F(JobTableTest, ChosenIdsDiffer) {
   JobTable table(data_);
   const std::string first = table.create(request()).first.id;

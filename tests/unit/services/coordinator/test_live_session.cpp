@@ -289,6 +289,31 @@ TEST_F(LiveSessionTest, SessionsAreLimited) {
   }));
 }
 
+TEST_F(LiveSessionTest, ASilentClientMakesRoom) {
+  options_.live.max_sessions = 1;
+  options_.live.open_timeout_s = 0.2;
+  options_.live.idle_timeout_s = 0.4;
+  start();
+  Client nothing_said(*stub_);
+  EXPECT_EQ(nothing_said.finish().error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
+  ASSERT_TRUE(eventually([&] { return metrics_.sessions() == 0; }));
+  const auto nothing_more = open(open_request());
+  nothing_more->send(frame_request(0));
+  expect_frame(nothing_more->receive(), 0);
+  const grpc::Status status = nothing_more->finish();
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
+  EXPECT_NE(status.error_message().find("sent no frame for 400 ms"), std::string::npos) << status.error_message();
+  EXPECT_TRUE(eventually([&] { return metrics_.sessions() == 0; }));
+}
+
+TEST_F(LiveSessionTest, AMeshIsAdmittedBeforeItIsSubdivided) {
+  options_.live.max_vertices = 300;
+  start();
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->set_subdivision_rounds(5);
+  expect_refused(request, grpc::StatusCode::RESOURCE_EXHAUSTED, "open.coarse: 20 vertices, subdivided 5 times");
+}
+
 TEST_F(LiveSessionTest, AStoppingCoordinatorAnswersWhatIsInFlight) {
   start();
   fakes_.superres().faults.delay(30ms);
