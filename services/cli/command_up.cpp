@@ -1,5 +1,6 @@
 // `pleat up`: all services on this host. `pleat health`: one service, for container health checks.
 #include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <thread>
 
@@ -13,6 +14,7 @@ namespace {
 struct UpOptions {
   std::string listen, models, metrics_listen;
   std::string data = "out/services";
+  double answer_timeout_s = 20;
 };
 
 int up(const UpOptions& options) {
@@ -25,6 +27,7 @@ int up(const UpOptions& options) {
   launch.logs = launch.data / "logs";
   launch.listen = options.listen;
   launch.metrics_listen = options.metrics_listen;
+  launch.patience = std::chrono::milliseconds(std::lround(options.answer_timeout_s * 1000));
   Launcher launcher(launch);
   for (const Launcher::Service& service : launcher.services())
     std::printf("%-12s %s\n", service.name.c_str(), service.address.c_str());
@@ -48,6 +51,10 @@ std::vector<Command> add_up(CLI::App& root) {
       "address of the coordinator: unix:PATH or 127.0.0.1:PORT, port 0 for any (default: a private socket)");
   app->add_option("--models", options->models, "folder of the model bundles (default: deploy/models)");
   app->add_option("--data", options->data, "folder for jobs and logs")->capture_default_str();
+  app->add_option("--answer-timeout-s", options->answer_timeout_s,
+                  "a service that does not answer health checks this long is replaced")
+      ->capture_default_str()
+      ->check(positive_number());
   app->add_option("--metrics-listen", options->metrics_listen, "Prometheus endpoint of the coordinator, HOST:PORT");
   return {{app, [options] { return up(*options); }}};
 }

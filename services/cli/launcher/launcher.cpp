@@ -20,7 +20,14 @@ using Clock = std::chrono::steady_clock;
 constexpr std::chrono::milliseconds kHealthTimeout{300};
 constexpr std::chrono::milliseconds kPoll{20};
 constexpr std::chrono::milliseconds kCoordinatorHeadStart{500};
-constexpr std::size_t kRestartsPerMinute = 3;
+constexpr std::chrono::milliseconds kFirstPause{500}, kLongestPause{30'000};
+
+/// Before a service that has ended `ends` times in the last minute is started again.
+std::chrono::milliseconds pause_after(std::size_t ends) {
+  if (ends <= 1) return std::chrono::milliseconds(0);
+  return std::min(kLongestPause, kFirstPause * (1 << std::min<std::size_t>(ends - 2, 10)));
+}
+
 constexpr const char* kDefaultBundle = "draping";
 
 struct Known {
@@ -62,7 +69,8 @@ struct Launcher::Running {
   ChildProcess process;
   fs::path log;
   std::streamoff log_start = 0;
-  std::vector<Clock::time_point> restarts;
+  std::vector<Clock::time_point> ends;   ///< in the last minute
+  std::optional<Clock::time_point> due;  ///< it has ended, and is started again then
 };
 
 fs::path default_models_folder() {
@@ -76,7 +84,7 @@ fs::path default_models_folder() {
   return fs::path("deploy") / "models";
 }
 
-Launcher::Launcher(LauncherOptions options) : options_(std::move(options)) {
+Launcher::Launcher(LauncherOptions options) : options_(std::move(options)), liveness_(options_.patience) {
   if (options_.models.empty()) options_.models = default_models_folder();
   if (options_.model.empty()) options_.model = default_bundle(options_.models);
   std::error_code failed;
@@ -128,7 +136,7 @@ void Launcher::start_service(std::size_t index) {
     running_[index].process = std::move(child);
     running_[index].log_start = log_start;
   } else {
-    running_.push_back({std::move(child), log, log_start, {}});
+    running_.push_back({std::move(child), log, log_start, {}, std::nullopt});
   }
 }
 
@@ -149,7 +157,10 @@ void Launcher::wait_until_healthy() {
         }
         if (!service.address.ends_with(":0")) channel = rpc::create_channel(service.address);
       }
-      if (channel && rpc::is_healthy(channel, service.health_name, kHealthTimeout)) break;
+      if (channel && rpc::is_healthy(channel, service.health_name, kHealthTimeout)) {
+        liveness_.watch(service.name, service.health_name, service.address, options_.patience);
+        break;
+      }
       if (Clock::now() >= deadline)
         throw Error(ErrorCode::kUnavailable, service.name + " at " + service.address + " is not healthy after " +
                                                  std::to_string(options_.start_timeout.count()) +
@@ -170,19 +181,36 @@ std::vector<std::string> Launcher::supervise() {
   std::vector<std::string> lines;
   for (std::size_t i = 0; i < running_.size(); ++i) {
     Running& running = running_[i];
-    if (running.process.running()) continue;
+    const Service& service = services_[i];
+    std::string cause;
+    if (running.process.running()) {
+      if (!liveness_.hangs(service.name)) continue;
+      cause = " does not answer";
+      running.process.send(SIGKILL);
+      running.process.wait_until(Clock::now() + std::chrono::seconds(5));
+    }
     const Clock::time_point now = Clock::now();
-    std::erase_if(running.restarts, [now](Clock::time_point t) { return now - t > std::chrono::minutes(1); });
-    if (running.restarts.size() >= kRestartsPerMinute) throw Error(ErrorCode::kUnavailable, cause_of_end(i));
-    running.restarts.push_back(now);
-    lines.push_back(services_[i].name + " ended (" + running.process.end_reason() + ") and is started again");
+    if (!running.due) {
+      liveness_.forget(service.name);
+      std::erase_if(running.ends, [now](Clock::time_point t) { return now - t > std::chrono::minutes(1); });
+      running.ends.push_back(now);
+      const auto pause = pause_after(running.ends.size());
+      running.due = now + pause;
+      if (cause.empty()) cause = " ended (" + running.process.end_reason() + ")";
+      lines.push_back(service.name + cause + " and is started again" +
+                      (pause.count() == 0 ? "" : " in " + std::to_string(pause.count()) + " ms"));
+    }
+    if (now < *running.due) continue;
+    running.due.reset();
     start_service(i);
+    liveness_.watch(service.name, service.health_name, service.address, options_.start_timeout);
   }
   return lines;
 }
 
 void Launcher::stop() {
   if (running_.empty()) return;
+  for (const Service& service : services_) liveness_.forget(service.name);
   // The coordinator first, so that it ends its streams before its stages go.
   const Clock::time_point deadline = Clock::now() + options_.stop_grace;
   running_.back().process.send(SIGTERM);

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/base/process.hpp"
+#include "services/cli/launcher/liveness.hpp"
 
 namespace pleat::cli {
 
@@ -23,8 +24,9 @@ struct LauncherOptions {
   std::filesystem::path logs;  ///< one file a service; made if need be
   std::string listen;          ///< of the coordinator; empty: a Unix socket
   std::string metrics_listen;  ///< of the coordinator; empty: none
-  std::chrono::seconds start_timeout{300};  ///< until all are healthy
-  std::chrono::seconds stop_grace{10};      ///< between SIGTERM and SIGKILL
+  std::chrono::seconds start_timeout{300};     ///< until all are healthy
+  std::chrono::seconds stop_grace{10};         ///< between SIGTERM and SIGKILL
+  std::chrono::milliseconds patience{20'000};  ///< a service that does not answer this long is replaced
 };
 
 /// deploy/models below the folders above the executable, else ../share/pleat/models; $PLEAT_MODELS goes first.
@@ -51,8 +53,9 @@ class Launcher {
   const std::vector<Service>& services() const { return services_; }
   const std::string& coordinator() const;
 
-  /// Starts services again that have ended; to be called often. Returns a line for each. Throws kUnavailable if one
-  /// keeps ending (more than three times a minute).
+  /// Ends services that hang (they do not answer health checks for `patience`), and starts those again that have ended:
+  /// the first time at once, then after a pause that doubles with each end in the last minute, up to 30 s. To be called
+  /// often. Returns a line for each.
   std::vector<std::string> supervise();
 
   /// SIGTERM to all, the coordinator first; SIGKILL after the grace. Idempotent.
@@ -67,6 +70,7 @@ class Launcher {
   LauncherOptions options_;
   PrivateFolder sockets_;
   std::vector<Service> services_;
+  Liveness liveness_;
   std::vector<Running> running_;
 };
 

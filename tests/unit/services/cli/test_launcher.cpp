@@ -115,6 +115,46 @@ TEST_F(LauncherTest, StartsAServiceAgainThatWasKilled) {
   expect_no_process_remains();
 }
 
+TEST_F(LauncherTest, ReplacesAServiceThatHangs) {
+  Background program(pleat(), up({"--answer-timeout-s", "1"}), output(), environment());
+  ASSERT_NE(program.wait_for_line("ready "), "");
+  const std::string refinement = (folder_ / "bin" / "pleat-refinement").string();
+  const pid_t first = processes_with(refinement).at(0);
+  ::kill(first, SIGSTOP);
+  while (true) {
+    const auto now = processes_with(refinement);
+    if (now.size() == 1 && now[0] != first) break;
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  program.send(SIGINT);
+  const Outcome outcome = program.wait();
+  EXPECT_EQ(outcome.exit_code, 0);
+  EXPECT_THAT(outcome.err, HasSubstr("refinement does not answer"));
+  expect_no_process_remains();
+}
+
+TEST_F(LauncherTest, AServiceThatKeepsEndingIsStartedAgainAfterPauses) {
+  Background program(pleat(), up(), output(), environment());
+  ASSERT_NE(program.wait_for_line("ready "), "");
+  const std::string refinement = (folder_ / "bin" / "pleat-refinement").string();
+  pid_t last = -1;
+  for (int kills = 0; kills < 5; ++kills) {
+    std::vector<int> now;
+    while (now.size() != 1 || now[0] == last) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+      const auto pids = processes_with(refinement);
+      now.assign(pids.begin(), pids.end());
+    }
+    last = now[0];
+    if (kills < 4) ::kill(last, SIGKILL);
+  }
+  program.send(SIGINT);
+  const Outcome outcome = program.wait();
+  EXPECT_EQ(outcome.exit_code, 0) << "`up` outlives its services";
+  EXPECT_THAT(outcome.err, HasSubstr("is started again in 2000 ms"));
+  expect_no_process_remains();
+}
+
 TEST_F(LauncherTest, ShowsWhyAServiceEndedAtStart) {
   auto variables = environment();
   variables["FAKE_SERVICE_FAILS"] = "superres";
