@@ -162,6 +162,17 @@ TEST_F(SceneFile, NamesUnknownKeys) {
   expect_error(scene, "stifness");
 }
 
+TEST_F(SceneFile, RefusesNamesAndKeysWithoutEnd) {
+  json scene = scene_;
+  scene["name"] = std::string(100'000, 'a');
+  expect_error(scene, "name has 100000 characters");
+  scene["name"] = std::string(100'000, '.');
+  expect_error(scene, "must be letters");
+  scene = scene_;
+  scene[std::string(100'000, 'k')] = 1;
+  expect_error(scene, "kkk");
+}
+
 TEST_F(SceneFile, NamesMissingFiles) {
   json scene = scene_;
   scene["garment_file"] = "none.obj";
