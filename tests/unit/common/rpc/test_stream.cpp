@@ -225,8 +225,12 @@ TEST_F(Stream, AClientThatDoesNotReadIsCutOff) {
   service->reader_timeout_ = 200ms;
   auto stream = start(16);
   stream->open(open_request(16));
-  // More than the sockets hold; nobody pops.
-  for (std::uint64_t k = 0; k < 16; ++k) stream->push(frame_request(k, 1 << 20));
+  // More than the sockets hold; nobody pops. On a busy machine it is cut off before we are through.
+  try {
+    for (std::uint64_t k = 0; k < 16; ++k) stream->push(frame_request(k, 1 << 20));
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kUnavailable) << error.what();
+  }
   expect_no_sessions();
 }
 
