@@ -10,29 +10,25 @@
 #include <vector>
 
 #include "common/base/simd.hpp"
+#include "services/fold/lanes.hpp"
 #include "services/simulation/elements.hpp"
 
 namespace pleat::bench {
 
-inline constexpr std::size_t kLanes = 8;
-using Lanes = std::array<std::uint32_t, kLanes>;  ///< a vertex per lane
+using fold::dot;
+using fold::from_rows;
+using fold::independent_packs;
+using fold::kLanes;
+using fold::Lanes;
+using fold::Vector8;
 
-struct Vector8 {
-  Float8 x, y, z;
-};
 inline Vector8 operator+(const Vector8& a, const Vector8& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
 inline Vector8 operator-(const Vector8& a, const Vector8& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
 inline Vector8 operator*(Float8 s, const Vector8& a) { return {s * a.x, s * a.y, s * a.z}; }
-inline Float8 dot(const Vector8& a, const Vector8& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 inline Vector8 cross(const Vector8& a, const Vector8& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-inline Vector8 from_rows(const Float4 (&rows)[kLanes]) {
-  Float8 columns[4];
-  transpose(rows, columns);
-  return {columns[0], columns[1], columns[2]};
-}
 /// x[to] - x[from], subtracted in double.
 inline Vector8 difference(const std::vector<Double4>& x, const Lanes& from, const Lanes& to) {
   Float4 rows[kLanes];
@@ -175,41 +171,5 @@ struct Angle8 {
     stiffness = ke * hinge.shape * 0.5f;
   }
 };
-
-/// Distributes elements over packs of eight that share no vertex, close to their order: a constraint solver may treat
-/// the lanes of a pack at once. Returns the elements of every pack, at most eight.
-template <typename Element>
-std::vector<std::vector<std::uint32_t>> independent_packs(std::span<const Element> elements) {
-  constexpr std::size_t kOpen = 64;  // packs that still wait for elements
-  std::vector<std::vector<std::uint32_t>> packs;
-  std::vector<std::size_t> open;
-  std::vector<std::vector<std::uint32_t>> vertices;  // of the pack
-  for (std::uint32_t e = 0; e < elements.size(); ++e) {
-    const auto disjoint = [&](std::size_t pack) {
-      for (const std::uint32_t v : elements[e].v) {
-        for (const std::uint32_t w : vertices[pack]) {
-          if (v == w) return false;
-        }
-      }
-      return true;
-    };
-    std::size_t slot = 0;
-    while (slot < open.size() && !disjoint(open[slot])) ++slot;
-    if (slot == open.size()) {
-      if (open.size() == kOpen) {
-        open.erase(open.begin());
-        --slot;
-      }
-      open.push_back(packs.size());
-      packs.emplace_back();
-      vertices.emplace_back();
-    }
-    const std::size_t pack = open[slot];
-    packs[pack].push_back(e);
-    vertices[pack].insert(vertices[pack].end(), elements[e].v.begin(), elements[e].v.end());
-    if (packs[pack].size() == kLanes) open.erase(open.begin() + static_cast<std::ptrdiff_t>(slot));
-  }
-  return packs;
-}
 
 }  // namespace pleat::bench

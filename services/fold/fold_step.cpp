@@ -1,0 +1,469 @@
+#include "services/fold/fold_step.hpp"
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "common/base/error.hpp"
+#include "common/base/simd.hpp"
+#include "common/mesh/connectivity.hpp"
+#include "services/fold/constraints.hpp"
+#include "services/fold/layers.hpp"
+#include "services/refinement/obstacle_field.hpp"
+
+namespace pleat::fold {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+// One iteration a step leaves bending softer than it is; by this factor the fine tablecloth wrinkles as one that is
+// simulated in steps of 10 ms (bench_fold_step).
+constexpr float kBending = 4;
+// The coarser levels carry tension: their springs have the modulus of a cloth that is stretched.
+constexpr double kLevelStrain = 0.1;
+constexpr int kMostSteps = 512;
+constexpr int kHingeEvery = 2;  // steps
+constexpr int kPullEvery = 4;   // steps
+// The coarse cloth's motion at large, averages over many rings, is followed with this frequency (rad/s), critically
+// damped: what acts on the cloth there (weight, wind, whatever moved it) is the coarse cloth's affair.
+constexpr float kLargeFrequency = 8;
+constexpr int kLargeRounds = 8;
+constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
+constexpr float kObstacleFriction = 0.3f;
+constexpr double kObstacleReach = 0.02;  // m, within a frame, beside the coarse cloth's motion
+constexpr float kLayerReach = 0.02f;     // m
+
+double milliseconds(Clock::time_point from) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - from).count();
+}
+
+float dot(Float4 a, Float4 b) {
+  const Float4 product = a * b;
+  return product[0] + product[1] + product[2];
+}
+
+Float4 cross(Float4 a, Float4 b) {
+  return Float4{a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0], 0};
+}
+
+void check_options(const FoldOptions& o, const Topology& coarse) {
+  const auto check = [](bool good, const char* what) {
+    if (!good) throw_invalid_argument(std::string("fold step: ") + what);
+  };
+  check(o.frame_time_s > 0 && o.frame_time_s <= 10, "frame time must be above 0 and at most 10 s");
+  check(o.frequency >= 0 && o.frequency <= 50, "frequency must be 0 to 50 rad/s");
+  check(o.step_s >= 1e-5 && o.step_s <= 0.1, "step must be 0.01 to 100 ms");
+  check(o.gravity.allFinite() && o.gravity.norm() <= 1000, "gravity must be finite, at most 1000 m/s2");
+  check(o.air_density >= 0 && o.air_density <= 100 && o.air_velocity.allFinite(),
+        "the air's density must be 0 to 100 kg/m3, its velocity finite");
+  check(o.thickness_m >= 0 && o.thickness_m <= 1, "thickness must be 0 to 1 m");
+  check(o.clearance_m >= 0 && o.clearance_m <= 0.1, "clearance must be 0 to 0.1 m");
+  check(o.restart_m > 0, "restart distance must be above 0");
+  check(o.material.density > 0 && std::isfinite(o.material.density), "the material's density must be above 0");
+  check(coarse.uv_faces.rows() == coarse.faces.rows() && coarse.face_count() > 0, "material coordinates are needed");
+}
+
+// A half space that a fine vertex stays out of, for a frame.
+struct ObstaclePlane {
+  std::uint32_t vertex;
+  Float4 normal;
+  float offset;  // normal . x is at least this
+};
+
+}  // namespace
+
+struct FoldStep::Work {
+  FoldOptions options;
+  Topology coarse;
+  Subdivision subdivision;
+  std::uint32_t count, coarse_count;
+  int steps;
+  float step_s, frame_s;
+  ObstacleField obstacles;
+  LayerFinder layers;
+
+  // A level's springs act on the first vertices of the fine mesh, and finer ones follow along the halved edges.
+  struct Level {
+    std::uint32_t size;
+    std::vector<float> inverse_masses;
+    SpringPacks springs;
+  };
+  std::vector<Level> levels;  // the coarsest first, without the finest
+  SpringPacks springs;
+  HingePacks hinges;
+  std::vector<float> inverse_masses;
+  std::vector<char> fixed, fixed_before;
+  std::vector<std::uint32_t> pins;
+
+  // Hats of coarse vertices over fine ones: corners, weights, and weights times mass over the hat's mass.
+  struct Corners {
+    std::array<std::uint32_t, 3> coarse;
+    std::array<float, 3> weight, share;
+  };
+  std::vector<Corners> corners;
+  std::vector<std::uint32_t> ring_begin, ring;  // neighbours of coarse vertices
+
+  // One more than there are vertices, as scratch place of packs.
+  std::vector<Float4> x, v, before, from, way, given, normals, moved;
+  std::vector<Float4> averages, large, smoothed;  // (V_coarse)
+  std::span<const LayerContact> layer_contacts;
+  std::vector<ObstaclePlane> planes;
+  std::vector<Box> near_obstacles;
+
+  Work(const Topology& c, const Subdivision& s, std::span<const ObstacleShape> shapes, const FoldOptions& o)
+      : options((check_options(o, c), o)),
+        coarse(c),
+        subdivision(s),
+        count(static_cast<std::uint32_t>(s.fine.vertex_count())),
+        coarse_count(static_cast<std::uint32_t>(c.vertex_count())),
+        steps(static_cast<int>(std::clamp(std::ceil(o.frame_time_s / o.step_s - 1e-9), 1.0, double{kMostSteps}))),
+        step_s(static_cast<float>(o.frame_time_s / steps)),
+        frame_s(static_cast<float>(o.frame_time_s)),
+        obstacles(shapes),
+        layers(c, s) {
+    for (std::size_t round = 0; round + 1 < s.level_sizes.size(); ++round) {
+      const Topology mesh = round == 0 ? c : subdivide(c, static_cast<int>(round)).fine;
+      Level& level = levels.emplace_back();
+      level.size = s.level_sizes[round];
+      for (const float mass : lumped_masses(mesh, o.material.density)) level.inverse_masses.push_back(1 / mass);
+      level.springs = SpringPacks(edge_springs(mesh, o.material, kLevelStrain), count);
+    }
+    springs = SpringPacks(edge_springs(s.fine, o.material, 0), count);
+    std::vector<Hinge> bending = edge_hinges(s.fine, o.material);
+    for (Hinge& hinge : bending) hinge.stiffness *= kBending;
+    hinges = HingePacks(std::move(bending), count);
+    make_hats(lumped_masses(s.fine, o.material.density));
+    fixed.assign(count, 0);
+    fixed_before.assign(count, 1);  // so that the first frame sets the step
+    for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
+    for (auto* buffer : {&averages, &large, &smoothed}) buffer->assign(coarse_count, Float4{});
+  }
+
+  void make_hats(const std::vector<float>& masses) {
+    std::vector<float> hat(coarse_count, 0);
+    corners.resize(count);
+    for (std::uint32_t i = 0; i < count; ++i) {
+      inverse_masses.push_back(1 / masses[i]);
+      for (std::size_t k = 0; k < 3; ++k) {
+        const auto corner = static_cast<Eigen::Index>(k);
+        corners[i].coarse[k] = coarse.faces(subdivision.parent_face[i], corner);
+        corners[i].weight[k] = subdivision.barycentric(i, corner);
+        hat[corners[i].coarse[k]] += masses[i] * corners[i].weight[k];
+      }
+    }
+    for (std::uint32_t i = 0; i < count; ++i) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        const float mass = hat[corners[i].coarse[k]];
+        corners[i].share[k] = mass > 0 ? masses[i] * corners[i].weight[k] / mass : 0;
+      }
+    }
+    std::vector<std::vector<std::uint32_t>> neighbours(coarse_count);
+    for (const Edge& edge : build_connectivity(coarse.vertex_count(), coarse.faces).edges) {
+      neighbours[edge.v0].push_back(edge.v1);
+      neighbours[edge.v1].push_back(edge.v0);
+    }
+    ring_begin.push_back(0);
+    for (const auto& list : neighbours) {
+      ring.insert(ring.end(), list.begin(), list.end());
+      ring_begin.push_back(static_cast<std::uint32_t>(ring.size()));
+    }
+  }
+
+  void check(const FoldFrame& frame, const FoldState& state) const {
+    const auto check_array = [](const Positions& array, std::uint32_t rows, const char* what) {
+      if (array.rows() != static_cast<Eigen::Index>(rows)) {
+        throw_invalid_argument(std::string("fold step: ") + what + " has " + std::to_string(array.rows()) +
+                               " rows instead of " + std::to_string(rows));
+      }
+      if (!array.allFinite()) throw_invalid_argument(std::string("fold step: ") + what + " is not finite");
+    };
+    check_array(frame.coarse, coarse_count, "coarse frame");
+    check_array(frame.coarse_velocities, coarse_count, "coarse velocities");
+    if (frame.start != nullptr) check_array(*frame.start, count, "start");
+    if (state.positions.size() > 0 || state.velocities.size() > 0) {
+      check_array(state.positions, count, "state's positions");
+      check_array(state.velocities, count, "state's velocities");
+    }
+    for (const std::uint32_t h : frame.held) {
+      if (h >= coarse_count) throw_invalid_argument("fold step: held vertex " + std::to_string(h) + " does not exist");
+    }
+  }
+
+  // Fine vertices between held coarse ones are fixed; the shares of the constraints know it.
+  void hold(std::span<const std::uint32_t> held) {
+    std::vector<char> is_held(coarse_count, 0);
+    for (const std::uint32_t h : held) is_held[h] = 1;
+    pins.clear();
+    for (std::uint32_t i = 0; i < count; ++i) {
+      bool inside = true;
+      for (std::size_t k = 0; k < 3; ++k) {
+        inside = inside && (corners[i].weight[k] == 0 || is_held[corners[i].coarse[k]] != 0);
+      }
+      fixed[i] = inside ? 1 : 0;
+      if (inside) pins.push_back(i);
+    }
+    if (fixed == fixed_before) return;
+    fixed_before = fixed;
+    std::vector<float> mobile(inverse_masses);
+    for (const std::uint32_t i : pins) mobile[i] = 0;
+    springs.set_step(mobile, step_s);
+    hinges.set_step(mobile, static_cast<float>(kHingeEvery) * step_s * step_s);
+    for (Level& level : levels) {
+      std::vector<float> mobile_level(level.inverse_masses);
+      for (std::uint32_t i = 0; i < level.size; ++i) mobile_level[i] = fixed[i] ? 0 : mobile_level[i];
+      level.springs.set_step(mobile_level, step_s);
+    }
+  }
+
+  // The state's cloth, or the upsampled one in its motion; returns whether it had to be that.
+  bool begin(const FoldState& state, const Eigen::Vector3d& origin) {
+    bool fits = state.positions.size() > 0;
+    if (fits) {
+      double sum = 0;
+      for (std::uint32_t i = 0; i < count; ++i) {
+        x[i] = to_float4(state.positions.row(i).cast<double>().transpose() - origin);
+        v[i] = to_float4(state.velocities.row(i).transpose());
+        sum += static_cast<double>(dot(x[i] - from[i], x[i] - from[i]));
+      }
+      fits = sum <= options.restart_m * options.restart_m * static_cast<double>(count);
+    }
+    if (fits) return false;
+    for (std::uint32_t i = 0; i < count; ++i) {
+      x[i] = from[i];
+      v[i] = way[i] / frame_s;
+    }
+    return true;
+  }
+
+  // Averages of a field over the hats.
+  template <typename Field>
+  void average(const Field& field, std::vector<Float4>& out) const {
+    std::fill(out.begin(), out.end(), Float4{});
+    for (std::uint32_t i = 0; i < count; ++i) {
+      const Corners& c = corners[i];
+      const Float4 value = field(i);
+      for (std::size_t k = 0; k < 3; ++k) out[c.coarse[k]] += c.share[k] * value;
+    }
+  }
+  Float4 spread(const std::vector<Float4>& values, std::uint32_t i) const {
+    const Corners& c = corners[i];
+    return c.weight[0] * values[c.coarse[0]] + c.weight[1] * values[c.coarse[1]] + c.weight[2] * values[c.coarse[2]];
+  }
+
+  // Accelerations that draw the averages to the coarse cloth's, into `averages`.
+  void pull(float time) {
+    const float frequency = static_cast<float>(options.frequency), inverse = 1 / frame_s;
+    average([&](std::uint32_t i) { return from[i] + time * way[i] - x[i]; }, averages);
+    average([&](std::uint32_t i) { return inverse * way[i] - v[i]; }, large);
+    for (std::uint32_t c = 0; c < coarse_count; ++c) {
+      large[c] = kLargeFrequency * kLargeFrequency * averages[c] + 2 * kLargeFrequency * large[c];
+      averages[c] *= frequency * frequency;
+    }
+    for (int round = 0; round < kLargeRounds; ++round) {
+      for (std::uint32_t c = 0; c < coarse_count; ++c) {
+        Float4 sum = large[c];
+        for (std::uint32_t r = ring_begin[c]; r < ring_begin[c + 1]; ++r) sum += large[ring[r]];
+        smoothed[c] = sum / static_cast<float>(1 + ring_begin[c + 1] - ring_begin[c]);
+      }
+      std::swap(large, smoothed);
+    }
+    for (std::uint32_t c = 0; c < coarse_count; ++c) averages[c] += large[c];
+  }
+
+  void find_normals() {
+    std::fill(normals.begin(), normals.end(), Float4{});
+    const Faces& faces = subdivision.fine.faces;
+    for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+      const Float4 corner = x[faces(f, 0)];
+      const Float4 area = cross(x[faces(f, 1)] - corner, x[faces(f, 2)] - corner);
+      for (int k = 0; k < 3; ++k) normals[faces(f, k)] += area;
+    }
+    for (Float4& normal : normals) normal /= std::sqrt(dot(normal, normal)) + 1e-20f;
+  }
+
+  // Of where the cloth would be at the end of the frame if it went along with the coarse one.
+  void find_planes(const Eigen::Vector3d& origin) {
+    planes.clear();
+    if (obstacles.empty()) return;
+    near_obstacles.clear();
+    obstacles.append_bounds(kObstacleReach, near_obstacles);
+    for (std::uint32_t i = 0; i < count; ++i) {
+      const Float4 end = x[i] + way[i];
+      const Eigen::Vector3d point = origin + Eigen::Vector3d(static_cast<double>(end[0]), static_cast<double>(end[1]),
+                                                             static_cast<double>(end[2]));
+      Box place;
+      place.extend(point);
+      if (std::none_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); })) {
+        continue;
+      }
+      const auto contact = obstacles.contact(point, kObstacleReach);
+      if (!contact || contact->distance >= kObstacleReach) continue;
+      const Float4 normal = to_float4(contact->normal);
+      planes.push_back({i, normal, dot(normal, end) + static_cast<float>(options.clearance_m - contact->distance)});
+    }
+  }
+
+  // Moves vertices at x and, beyond what they approached within the step, where they came from: what overlapped before
+  // is taken apart without a velocity.
+  void keep_out() {
+    for (const ObstaclePlane& plane : planes) {
+      const std::uint32_t i = plane.vertex;
+      const float depth = plane.offset - dot(plane.normal, x[i]);
+      if (depth <= 0 || fixed[i]) continue;
+      const float approach = std::max(0.0f, dot(plane.normal, before[i] - x[i]));
+      x[i] += depth * plane.normal;
+      before[i] += std::max(0.0f, depth - approach) * plane.normal;
+      // Along the obstacle with the coarse cloth, which has met its friction.
+      Float4 slide = x[i] - before[i] - way[i] / static_cast<float>(steps);
+      slide -= dot(plane.normal, slide) * plane.normal;
+      const float length = std::sqrt(dot(slide, slide));
+      if (length > 0) x[i] -= std::min(1.0f, kObstacleFriction * depth / length) * slide;
+    }
+  }
+
+  void sort_layers() {
+    for (const LayerContact& c : layer_contacts) {
+      const auto between = [&c](const std::vector<Float4>& at) {
+        return dot(c.normal, at[c.vertex] - c.weights[0] * at[c.face[0]] - c.weights[1] * at[c.face[1]] -
+                                 c.weights[2] * at[c.face[2]]);
+      };
+      const float distance = between(x);
+      if (distance >= c.gap) continue;
+      const float depth = c.gap - distance, approach = std::max(0.0f, between(before) - distance);
+      const float velocity_part = std::min(depth, approach);
+      // Taken apart by a tenth a step, so that layers that are far through each other do not jump.
+      const float place_part = 0.1f * (depth - velocity_part);
+      const auto mobility = [&](std::uint32_t vertex) { return fixed[vertex] ? 0.0f : inverse_masses[vertex]; };
+      float sum = mobility(c.vertex);
+      for (std::size_t k = 0; k < 3; ++k) sum += c.weights[k] * c.weights[k] * mobility(c.face[k]);
+      if (sum <= 0) continue;
+      const auto push = [&](std::uint32_t vertex, float weight) {
+        const Float4 direction = (weight * mobility(vertex) / sum) * c.normal;
+        x[vertex] += (velocity_part + place_part) * direction;
+        before[vertex] += place_part * direction;
+      };
+      push(c.vertex, 1);
+      for (std::size_t k = 0; k < 3; ++k) push(c.face[k], -c.weights[k]);
+    }
+  }
+
+  // Stretched edges of the coarser levels are shortened, and what that moves carries the finer vertices along: tension
+  // reaches far within a step.
+  void solve_levels() {
+    const auto& ends = subdivision.halved_edges;
+    for (const Level& level : levels) {
+      for (std::uint32_t i = 0; i < level.size; ++i) moved[i] = -x[i];
+      level.springs.solve(x, true);
+      for (std::uint32_t i = 0; i < level.size; ++i) moved[i] += x[i];
+      for (std::uint32_t i = level.size; i < count; ++i) {
+        moved[i] = 0.5f * (moved[ends[i][0]] + moved[ends[i][1]]);
+        x[i] += moved[i];
+      }
+    }
+  }
+
+  void step(int index, bool guided, bool restarted) {
+    const float middle = (static_cast<float>(index) + 0.5f) / static_cast<float>(steps);
+    const float end = (static_cast<float>(index) + 1) / static_cast<float>(steps);
+    if (index % kPullEvery == 0) {
+      pull(middle + static_cast<float>(kPullEvery - 1) / (2 * static_cast<float>(steps)));
+    }
+    // The velocity with which a cloth without a state begins has met gravity and air in this frame already.
+    const Float4 gravity = restarted ? Float4{} : to_float4(options.gravity);
+    const float drag = restarted ? 0 : step_s * static_cast<float>(options.air_density / options.material.density);
+    const Float4 air = to_float4(options.air_velocity);
+    for (std::uint32_t i = 0; i < count; ++i) {
+      before[i] = x[i];
+      Float4 acceleration = gravity + spread(averages, i);
+      if (guided) {
+        acceleration += kStartFrequency * kStartFrequency * (given[i] - (1 - middle) * way[i] - x[i]);
+      }
+      v[i] += step_s * acceleration;
+      const float across = dot(normals[i], v[i] - air);
+      v[i] -= (across - across / (1 + drag * std::abs(across))) * normals[i];
+      x[i] += step_s * v[i];
+    }
+    for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
+    solve_levels();
+    for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
+    springs.solve(x, false);
+    if (index % kHingeEvery == 0) hinges.solve(x);
+    sort_layers();
+    keep_out();
+    for (std::uint32_t i = 0; i < count; ++i) v[i] = (x[i] - before[i]) / step_s;
+  }
+
+  // The obstacles as they are, not planes.
+  void leave_obstacles(const Eigen::Vector3d& origin) {
+    for (const ObstaclePlane& plane : planes) {
+      const std::uint32_t i = plane.vertex;
+      if (fixed[i]) continue;
+      const Float4 at = x[i];
+      const Eigen::Vector3d point =
+          origin + Eigen::Vector3d(static_cast<double>(at[0]), static_cast<double>(at[1]), static_cast<double>(at[2]));
+      const auto contact = obstacles.contact(point, options.clearance_m);
+      if (!contact || contact->distance >= options.clearance_m) continue;
+      x[i] += to_float4((options.clearance_m - contact->distance) * contact->normal);
+    }
+  }
+};
+
+FoldStep::FoldStep(const Topology& coarse, const Subdivision& subdivision, std::span<const ObstacleShape> obstacles,
+                   const FoldOptions& options)
+    : work_(std::make_unique<Work>(coarse, subdivision, obstacles, options)) {}
+FoldStep::~FoldStep() = default;
+FoldStep::FoldStep(FoldStep&&) noexcept = default;
+FoldStep& FoldStep::operator=(FoldStep&&) noexcept = default;
+
+FoldReport FoldStep::fold(const FoldFrame& frame, FoldState& state) {
+  const auto start = Clock::now();
+  Work& w = *work_;
+  w.check(frame, state);
+  w.obstacles.update(frame.obstacles);
+  // Near the cloth float32 is exact enough, however far that is from the origin.
+  const Eigen::Vector3d origin = frame.coarse.cast<double>().colwise().mean().transpose();
+  const auto local = [&](const Positions& positions) -> Positions {
+    return (positions.cast<double>().rowwise() - origin.transpose()).cast<float>();
+  };
+  const Positions coarse = local(frame.coarse);
+  const Positions to = upsample(w.subdivision, w.coarse.faces, coarse);
+  const Positions way = w.frame_s * upsample(w.subdivision, w.coarse.faces, frame.coarse_velocities);
+  const Positions given = frame.start != nullptr ? local(*frame.start) : Positions();
+  for (std::uint32_t i = 0; i < w.count; ++i) {
+    w.way[i] = to_float4(way.row(i).transpose());
+    w.from[i] = to_float4(to.row(i).transpose());
+    if (frame.start != nullptr) w.given[i] = to_float4(given.row(i).transpose());
+  }
+  FoldReport report;
+  report.steps = w.steps;
+  const auto contact_start = Clock::now();
+  w.layer_contacts = w.layers.find(coarse, w.from, kLayerReach, static_cast<float>(w.options.thickness_m));
+  report.contact_ms = milliseconds(contact_start);
+  for (std::uint32_t i = 0; i < w.count; ++i) w.from[i] -= w.way[i];
+  w.hold(frame.held);
+  report.restarted = w.begin(state, origin);
+  const auto planes_start = Clock::now();
+  w.find_planes(origin);
+  report.contact_ms += milliseconds(planes_start);
+  w.find_normals();
+  for (int index = 0; index < w.steps; ++index) w.step(index, frame.start != nullptr, report.restarted);
+  w.leave_obstacles(origin);
+  report.layer_contacts = w.layer_contacts.size();
+  report.obstacle_contacts = w.planes.size();
+  state.positions.resize(w.count, 3);
+  state.velocities.resize(w.count, 3);
+  for (std::uint32_t i = 0; i < w.count; ++i) {
+    for (int k = 0; k < 3; ++k) {
+      state.positions(i, k) = static_cast<float>(static_cast<double>(w.x[i][k]) + origin[k]);
+      state.velocities(i, k) = w.v[i][k];
+    }
+  }
+  report.ms = milliseconds(start);
+  return report;
+}
+
+}  // namespace pleat::fold

@@ -1,0 +1,131 @@
+#include "services/fold/layers.hpp"
+
+#include <cmath>
+#include <numeric>
+
+#include "common/mesh/closest_points.hpp"
+#include "common/mesh/connectivity.hpp"
+
+namespace pleat::fold {
+namespace {
+
+using Eigen::Vector3d;
+
+// The cosine of the angle between a way to another layer and the layer's normal, at least: what lies beside a vertex on
+// its own layer is no other one.
+constexpr double kAcross = 0.7;
+
+Vector3d row(const Positions& positions, std::uint32_t vertex) {
+  return positions.row(vertex).cast<double>().transpose();
+}
+
+}  // namespace
+
+LayerFinder::LayerFinder(const Topology& coarse, const Subdivision& subdivision)
+    : coarse_faces_(coarse.faces),
+      fine_faces_(subdivision.fine.faces),
+      rounds_(static_cast<int>(subdivision.level_sizes.size()) - 1) {
+  const auto faces = static_cast<std::size_t>(coarse_faces_.rows());
+  vertices_of_begin_.assign(faces + 1, 0);
+  for (const std::uint32_t face : subdivision.parent_face) ++vertices_of_begin_[face + 1];
+  std::partial_sum(vertices_of_begin_.begin(), vertices_of_begin_.end(), vertices_of_begin_.begin());
+  vertices_of_.resize(subdivision.parent_face.size());
+  std::vector<std::uint32_t> next(vertices_of_begin_.begin(), vertices_of_begin_.end() - 1);
+  for (std::uint32_t v = 0; v < subdivision.parent_face.size(); ++v) {
+    vertices_of_[next[subdivision.parent_face[v]]++] = v;
+  }
+  boxes_.resize(faces);
+  normals_.resize(faces);
+  nearest_.resize(subdivision.parent_face.size());
+}
+
+// The fine face at barycentric coordinates of a coarse one, which become those in the fine face. Children of a face are
+// its three corners and the middle (subdivide()).
+std::array<std::uint32_t, 3> LayerFinder::descend(std::uint32_t face, std::array<float, 3>& weights) const {
+  Eigen::Index at = face;
+  auto& [a, b, c] = weights;
+  for (int round = 0; round < rounds_; ++round) {
+    at *= 4;
+    if (a >= 0.5f) {
+      weights = {2 * a - 1, 2 * b, 2 * c};
+    } else if (b >= 0.5f) {
+      at += 1;
+      weights = {2 * a, 2 * b - 1, 2 * c};
+    } else if (c >= 0.5f) {
+      at += 2;
+      weights = {2 * a, 2 * b, 2 * c - 1};
+    } else {
+      at += 3;
+      weights = {1 - 2 * c, 1 - 2 * a, 1 - 2 * b};
+    }
+  }
+  return {fine_faces_(at, 0), fine_faces_(at, 1), fine_faces_(at, 2)};
+}
+
+void LayerFinder::meet(std::uint32_t vertex, std::uint32_t face, const Vector3d& point, const Positions& coarse) {
+  const Vector3d a = row(coarse, coarse_faces_(face, 0)), b = row(coarse, coarse_faces_(face, 1)),
+                 c = row(coarse, coarse_faces_(face, 2));
+  Nearest& nearest = nearest_[vertex];
+  const double plane = normals_[face].dot(point - a);
+  if (plane * plane >= nearest.squared_distance) return;
+  const Vector3d weights = closest_on_triangle(point, a, b, c);
+  const double distance = (point - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
+  if (distance < nearest.squared_distance && plane * plane > kAcross * kAcross * distance) {
+    nearest = {distance, face, weights};
+  }
+}
+
+std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::span<const Float4> upsampled, float reach,
+                                                float thickness) {
+  for (std::size_t f = 0; f < boxes_.size(); ++f) {
+    const auto face = static_cast<Eigen::Index>(f);
+    const Vector3d a = row(coarse, coarse_faces_(face, 0)), b = row(coarse, coarse_faces_(face, 1)),
+                   c = row(coarse, coarse_faces_(face, 2));
+    boxes_[f] = Box{};
+    for (const Vector3d& corner : {a, b, c}) boxes_[f].extend(corner, static_cast<double>(reach) / 2);
+    normals_[f] = (b - a).cross(c - a).stableNormalized();
+  }
+  if (tree_.empty()) {
+    tree_ = Bvh(boxes_);
+  } else {
+    tree_.refit(boxes_);
+  }
+  const double squared_reach = static_cast<double>(reach) * static_cast<double>(reach);
+  for (Nearest& nearest : nearest_) nearest = {squared_reach, kNone, Vector3d::Zero()};
+  const auto meet_all = [&](std::uint32_t of, std::uint32_t face) {
+    for (std::uint32_t k = vertices_of_begin_[of]; k < vertices_of_begin_[of + 1]; ++k) {
+      const std::uint32_t v = vertices_of_[k];
+      const Float4 p = upsampled[v];
+      meet(v, face, {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])}, coarse);
+    }
+  };
+  tree_.visit_self_pairs([&](std::uint32_t f, std::uint32_t g) {
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        if (coarse_faces_(f, i) == coarse_faces_(g, j)) return true;
+      }
+    }
+    meet_all(f, g);
+    meet_all(g, f);
+    return true;
+  });
+  contacts_.clear();
+  for (std::uint32_t v = 0; v < nearest_.size(); ++v) {
+    const Nearest& nearest = nearest_[v];
+    if (nearest.face == kNone || nearest.squared_distance <= 0) continue;
+    LayerContact contact{};
+    contact.vertex = v;
+    contact.weights = {static_cast<float>(nearest.weights[0]), static_cast<float>(nearest.weights[1]),
+                       static_cast<float>(nearest.weights[2])};
+    const Float4 p = upsampled[v];
+    const Vector3d point(static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2]));
+    const bool above = normals_[nearest.face].dot(point - row(coarse, coarse_faces_(nearest.face, 0))) > 0;
+    contact.normal = to_float4(above ? normals_[nearest.face] : Vector3d(-normals_[nearest.face]));
+    contact.gap = std::min(thickness, static_cast<float>(std::sqrt(nearest.squared_distance)));
+    contact.face = descend(nearest.face, contact.weights);
+    contacts_.push_back(contact);
+  }
+  return contacts_;
+}
+
+}  // namespace pleat::fold

@@ -1,0 +1,56 @@
+// Layers of cloth that lie on each other: which of them is above is read off the coarse cloth, which does not pass
+// through itself, so that fine layers that have are sorted again.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/simd.hpp"
+#include "common/mesh/bvh.hpp"
+#include "common/mesh/subdivision.hpp"
+
+namespace pleat::fold {
+
+/// A fine vertex before a point of another layer: normal . (x_vertex - sum_k weights[k] x_face[k]) is at least gap.
+struct LayerContact {
+  std::uint32_t vertex;
+  std::array<std::uint32_t, 3> face;  ///< fine vertices
+  std::array<float, 3> weights;
+  Float4 normal;  ///< unit, of the coarse cloth, towards the vertex
+  float gap;      ///< m
+};
+
+/// Finds them. One per stream; keeps memory between frames, and no state.
+class LayerFinder {
+ public:
+  /// subdivision: of `coarse`, by midpoints of edges as subdivide() numbers them.
+  LayerFinder(const Topology& coarse, const Subdivision& subdivision);
+
+  /// For each fine vertex the nearest point of another layer of the upsampled coarse cloth that is nearer than `reach`
+  /// (m), if it lies about across the cloth; gaps are `thickness` or what the coarse cloth has, whichever is less.
+  /// O(V_fine + pairs of near coarse faces). The result lives until the next call.
+  std::span<const LayerContact> find(const Positions& coarse, std::span<const Float4> upsampled, float reach,
+                                     float thickness);
+
+ private:
+  void meet(std::uint32_t vertex, std::uint32_t face, const Eigen::Vector3d& point, const Positions& coarse);
+  std::array<std::uint32_t, 3> descend(std::uint32_t face, std::array<float, 3>& weights) const;
+
+  Faces coarse_faces_, fine_faces_;
+  int rounds_ = 0;
+  std::vector<std::uint32_t> vertices_of_begin_, vertices_of_;  // fine vertices by coarse face
+  Bvh tree_;
+  std::vector<Box> boxes_;
+  std::vector<Eigen::Vector3d> normals_;
+  struct Nearest {
+    double squared_distance;
+    std::uint32_t face;
+    Eigen::Vector3d weights;
+  };
+  std::vector<Nearest> nearest_;
+  std::vector<LayerContact> contacts_;
+};
+
+}  // namespace pleat::fold
