@@ -1,5 +1,6 @@
 #include "services/fold/layers.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 
@@ -36,6 +37,8 @@ LayerFinder::LayerFinder(const Topology& coarse, const Subdivision& subdivision)
   }
   boxes_.resize(faces);
   normals_.resize(faces);
+  centers_.resize(faces);
+  radii_.resize(faces);
   nearest_.resize(subdivision.parent_face.size());
 }
 
@@ -68,6 +71,9 @@ void LayerFinder::meet(std::uint32_t vertex, std::uint32_t face, const Vector3d&
   Nearest& nearest = nearest_[vertex];
   const double plane = normals_[face].dot(point - a);
   if (plane * plane >= nearest.squared_distance) return;
+  // Beside the face the distance is at least that to the circle about it.
+  const double beside = (point - centers_[face]).norm() - radii_[face];
+  if (beside > 0 && plane * plane <= kAcross * kAcross * beside * beside) return;
   const Vector3d weights = closest_on_triangle(point, a, b, c);
   const double distance = (point - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
   if (distance < nearest.squared_distance && plane * plane > kAcross * kAcross * distance) {
@@ -84,6 +90,9 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
     boxes_[f] = Box{};
     for (const Vector3d& corner : {a, b, c}) boxes_[f].extend(corner, static_cast<double>(reach) / 2);
     normals_[f] = (b - a).cross(c - a).stableNormalized();
+    centers_[f] = (a + b + c) / 3;
+    radii_[f] = std::sqrt(
+        std::max({(a - centers_[f]).squaredNorm(), (b - centers_[f]).squaredNorm(), (c - centers_[f]).squaredNorm()}));
   }
   if (tree_.empty()) {
     tree_ = Bvh(boxes_);
@@ -93,6 +102,15 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
   const double squared_reach = static_cast<double>(reach) * static_cast<double>(reach);
   for (Nearest& nearest : nearest_) nearest = {squared_reach, kNone, Vector3d::Zero()};
   const auto meet_all = [&](std::uint32_t of, std::uint32_t face) {
+    // All on one side of the face's plane, and farther than the reach: most pairs whose boxes overlap.
+    const Vector3d corner = row(coarse, coarse_faces_(face, 0));
+    double least = 1e300, most = -1e300;
+    for (int k = 0; k < 3; ++k) {
+      const double height = normals_[face].dot(row(coarse, coarse_faces_(of, k)) - corner);
+      least = std::min(least, height);
+      most = std::max(most, height);
+    }
+    if (least >= static_cast<double>(reach) || most <= -static_cast<double>(reach)) return;
     for (std::uint32_t k = vertices_of_begin_[of]; k < vertices_of_begin_[of + 1]; ++k) {
       const std::uint32_t v = vertices_of_[k];
       const Float4 p = upsampled[v];

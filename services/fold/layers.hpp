@@ -43,7 +43,8 @@ class LayerFinder {
   std::vector<std::uint32_t> vertices_of_begin_, vertices_of_;  // fine vertices by coarse face
   Bvh tree_;
   std::vector<Box> boxes_;
-  std::vector<Eigen::Vector3d> normals_;
+  std::vector<Eigen::Vector3d> normals_, centers_;
+  std::vector<double> radii_;  // of the circles about the centres that hold the faces
   struct Nearest {
     double squared_distance;
     std::uint32_t face;
