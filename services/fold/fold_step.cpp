@@ -14,6 +14,7 @@
 #include "services/fold/constraints.hpp"
 #include "services/fold/layers.hpp"
 #include "services/refinement/obstacle_field.hpp"
+#include "services/refinement/self_intersection_finder.hpp"
 
 namespace pleat::fold {
 namespace {
@@ -33,21 +34,18 @@ constexpr int kPullEvery = 4;   // steps
 constexpr float kLargeFrequency = 8;
 constexpr int kLargeRounds = 8;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
+// What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
+// less, what is around.
+constexpr float kTangleFrequency = 40;
+constexpr int kTangleRings = 3;
+constexpr float kDetailDamping = 10;  // 1/s, of motion beside the coarse cloth's
+constexpr std::size_t kMostTangles = 20'000;
 constexpr float kObstacleFriction = 0.3f;
 constexpr double kObstacleReach = 0.02;  // m, within a frame, beside the coarse cloth's motion
 constexpr float kLayerReach = 0.02f;     // m
 
 double milliseconds(Clock::time_point from) {
   return std::chrono::duration<double, std::milli>(Clock::now() - from).count();
-}
-
-float dot(Float4 a, Float4 b) {
-  const Float4 product = a * b;
-  return product[0] + product[1] + product[2];
-}
-
-Float4 cross(Float4 a, Float4 b) {
-  return Float4{a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0], 0};
 }
 
 void check_options(const FoldOptions& o, const Topology& coarse) {
@@ -85,6 +83,7 @@ struct FoldStep::Work {
   float step_s, frame_s;
   ObstacleField obstacles;
   LayerFinder layers;
+  SelfIntersectionFinder tangles;
 
   // A level's springs act on the first vertices of the fine mesh, and finer ones follow along the halved edges.
   struct Level {
@@ -111,6 +110,8 @@ struct FoldStep::Work {
   std::vector<Float4> x, v, before, from, way, given, normals, moved;
   std::vector<Float4> averages, large, smoothed;  // (V_coarse)
   std::span<const LayerContact> layer_contacts;
+  std::vector<FacePair> pairs;
+  std::vector<float> tangled, wider;
   std::vector<ObstaclePlane> planes;
   std::vector<Box> near_obstacles;
 
@@ -124,7 +125,8 @@ struct FoldStep::Work {
         step_s(static_cast<float>(o.frame_time_s / steps)),
         frame_s(static_cast<float>(o.frame_time_s)),
         obstacles(shapes),
-        layers(c, s) {
+        layers(c, s),
+        tangles(s.fine.faces, s.fine.vertex_count(), c.faces) {
     for (std::size_t round = 0; round + 1 < s.level_sizes.size(); ++round) {
       const Topology mesh = round == 0 ? c : subdivide(c, static_cast<int>(round)).fine;
       Level& level = levels.emplace_back();
@@ -137,6 +139,7 @@ struct FoldStep::Work {
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
     hinges = HingePacks(std::move(bending), count);
     make_hats(lumped_masses(s.fine, o.material.density));
+    tangled.assign(count, 0);
     fixed.assign(count, 0);
     fixed_before.assign(count, 1);  // so that the first frame sets the step
     for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
@@ -274,6 +277,28 @@ struct FoldStep::Work {
     for (std::uint32_t c = 0; c < coarse_count; ++c) averages[c] += large[c];
   }
 
+  // How far each vertex is to go back to the coarse cloth: 1 where the state passes through itself, less around.
+  void find_tangles(const Positions& positions) {
+    tangles.update(positions);
+    tangles.find(positions, kMostTangles, pairs);
+    std::fill(tangled.begin(), tangled.end(), 0.0f);
+    if (pairs.empty()) return;
+    const Faces& faces = subdivision.fine.faces;
+    for (const FacePair& pair : pairs) {
+      for (const std::uint32_t face : {pair[0], pair[1]}) {
+        for (int k = 0; k < 3; ++k) tangled[faces(face, k)] = 1;
+      }
+    }
+    for (int round = 0; round < kTangleRings; ++round) {
+      wider = tangled;
+      for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+        const float most = 0.7f * std::max({tangled[faces(f, 0)], tangled[faces(f, 1)], tangled[faces(f, 2)]});
+        for (int k = 0; k < 3; ++k) wider[faces(f, k)] = std::max(wider[faces(f, k)], most);
+      }
+      std::swap(tangled, wider);
+    }
+  }
+
   void find_normals() {
     std::fill(normals.begin(), normals.end(), Float4{});
     const Faces& faces = subdivision.fine.faces;
@@ -382,7 +407,12 @@ struct FoldStep::Work {
       if (guided) {
         acceleration += kStartFrequency * kStartFrequency * (given[i] - (1 - middle) * way[i] - x[i]);
       }
+      if (tangled[i] > 0) {
+        const float pull = tangled[i] * kTangleFrequency;
+        acceleration += pull * pull * (from[i] + middle * way[i] - x[i]) + 2 * pull * (way[i] / frame_s - v[i]);
+      }
       v[i] += step_s * acceleration;
+      v[i] -= std::min(1.0f, kDetailDamping * step_s) * (v[i] - way[i] / frame_s);
       const float across = dot(normals[i], v[i] - air);
       v[i] -= (across - across / (1 + drag * std::abs(across))) * normals[i];
       x[i] += step_s * v[i];
@@ -440,15 +470,19 @@ FoldReport FoldStep::fold(const FoldFrame& frame, FoldState& state) {
   }
   FoldReport report;
   report.steps = w.steps;
-  const auto contact_start = Clock::now();
-  w.layer_contacts = w.layers.find(coarse, w.from, kLayerReach, static_cast<float>(w.options.thickness_m));
-  report.contact_ms = milliseconds(contact_start);
   for (std::uint32_t i = 0; i < w.count; ++i) w.from[i] -= w.way[i];
   w.hold(frame.held);
   report.restarted = w.begin(state, origin);
-  const auto planes_start = Clock::now();
+  const auto contact_start = Clock::now();
+  for (std::uint32_t i = 0; i < w.count; ++i) {
+    w.moved[i] = w.from[i] + w.way[i];
+    w.before[i] = w.x[i] + w.way[i];
+  }
+  w.layer_contacts = w.layers.find(coarse, w.moved, w.before, kLayerReach, static_cast<float>(w.options.thickness_m));
   w.find_planes(origin);
-  report.contact_ms += milliseconds(planes_start);
+  report.contact_ms = milliseconds(contact_start);
+  std::fill(w.tangled.begin(), w.tangled.end(), 0.0f);
+  if (!report.restarted) w.find_tangles(state.positions);
   w.find_normals();
   for (int index = 0; index < w.steps; ++index) w.step(index, frame.start != nullptr, report.restarted);
   w.leave_obstacles(origin);

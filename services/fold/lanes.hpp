@@ -15,6 +15,14 @@ namespace pleat::fold {
 inline constexpr std::size_t kLanes = 8;
 using Lanes = std::array<std::uint32_t, kLanes>;  ///< a vertex per lane
 
+inline float dot(Float4 a, Float4 b) {
+  const Float4 product = a * b;
+  return product[0] + product[1] + product[2];
+}
+inline Float4 cross(Float4 a, Float4 b) {
+  return Float4{a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0], 0};
+}
+
 struct Vector8 {
   Float8 x, y, z;
 };

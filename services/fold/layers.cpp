@@ -6,6 +6,7 @@
 
 #include "common/mesh/closest_points.hpp"
 #include "common/mesh/connectivity.hpp"
+#include "services/fold/lanes.hpp"
 
 namespace pleat::fold {
 namespace {
@@ -15,6 +16,7 @@ using Eigen::Vector3d;
 // The cosine of the angle between a way to another layer and the layer's normal, at least: what lies beside a vertex on
 // its own layer is no other one.
 constexpr double kAcross = 0.7;
+constexpr int kMostSteps = 16;  // of a walk
 
 Vector3d row(const Positions& positions, std::uint32_t vertex) {
   return positions.row(vertex).cast<double>().transpose();
@@ -35,16 +37,25 @@ LayerFinder::LayerFinder(const Topology& coarse, const Subdivision& subdivision)
   for (std::uint32_t v = 0; v < subdivision.parent_face.size(); ++v) {
     vertices_of_[next[subdivision.parent_face[v]]++] = v;
   }
+  fine_neighbours_.assign(static_cast<std::size_t>(fine_faces_.rows()), {kNone, kNone, kNone});
+  for (const Edge& edge : build_connectivity(subdivision.fine.vertex_count(), fine_faces_).edges) {
+    if (edge.f1 == kNone) continue;
+    for (int k = 0; k < 3; ++k) {
+      const auto corner = static_cast<std::size_t>(k);
+      if (fine_faces_(edge.f0, k) == edge.v0) fine_neighbours_[edge.f0][corner] = edge.f1;
+      if (fine_faces_(edge.f1, k) == edge.v1) fine_neighbours_[edge.f1][corner] = edge.f0;
+    }
+  }
   boxes_.resize(faces);
   normals_.resize(faces);
   centers_.resize(faces);
   radii_.resize(faces);
-  nearest_.resize(subdivision.parent_face.size());
+  nearest_.resize(2 * subdivision.parent_face.size());
 }
 
 // The fine face at barycentric coordinates of a coarse one, which become those in the fine face. Children of a face are
 // its three corners and the middle (subdivide()).
-std::array<std::uint32_t, 3> LayerFinder::descend(std::uint32_t face, std::array<float, 3>& weights) const {
+std::uint32_t LayerFinder::descend(std::uint32_t face, std::array<float, 3>& weights) const {
   Eigen::Index at = face;
   auto& [a, b, c] = weights;
   for (int round = 0; round < rounds_; ++round) {
@@ -62,14 +73,37 @@ std::array<std::uint32_t, 3> LayerFinder::descend(std::uint32_t face, std::array
       weights = {1 - 2 * c, 1 - 2 * a, 1 - 2 * b};
     }
   }
-  return {fine_faces_(at, 0), fine_faces_(at, 1), fine_faces_(at, 2)};
+  return static_cast<std::uint32_t>(at);
 }
 
-void LayerFinder::meet(std::uint32_t vertex, std::uint32_t face, const Vector3d& point, const Positions& coarse) {
+// From face to face, towards where the contact's vertex stands before the fine layer along its normal. Returns whether
+// it came to a face there.
+bool LayerFinder::walk(const LayerContact& contact, std::span<const Float4> fine, std::uint32_t& face,
+                       std::array<float, 3>& weights) const {
+  for (int steps = 0; steps < kMostSteps; ++steps) {
+    const auto row = static_cast<Eigen::Index>(face);
+    const Float4 a = fine[fine_faces_(row, 0)], e1 = fine[fine_faces_(row, 1)] - a, e2 = fine[fine_faces_(row, 2)] - a;
+    const Float4 way = fine[contact.vertex] - a;
+    const float area = dot(contact.normal, cross(e1, e2));
+    if (std::abs(area) < 1e-12f) return false;
+    const float b = dot(contact.normal, cross(way, e2)) / area, c = dot(contact.normal, cross(e1, way)) / area;
+    weights = {1 - b - c, b, c};
+    const std::size_t least =
+        weights[0] <= weights[1] ? (weights[0] <= weights[2] ? 0 : 2) : (weights[1] <= weights[2] ? 1 : 2);
+    if (weights[least] >= 0) return true;
+    face = fine_neighbours_[face][(least + 1) % 3];  // the edge opposite of the corner
+    if (face == kNone) return false;
+  }
+  return false;
+}
+
+void LayerFinder::meet(std::uint32_t vertex, std::uint32_t own, std::uint32_t face, const Vector3d& point,
+                       const Positions& coarse) {
   const Vector3d a = row(coarse, coarse_faces_(face, 0)), b = row(coarse, coarse_faces_(face, 1)),
                  c = row(coarse, coarse_faces_(face, 2));
-  Nearest& nearest = nearest_[vertex];
   const double plane = normals_[face].dot(point - a);
+  const bool below = plane * normals_[own].dot(normals_[face]) > 0;  // the other layer is, of the vertex's own
+  Nearest& nearest = nearest_[2 * vertex + (below ? 1 : 0)];
   if (plane * plane >= nearest.squared_distance) return;
   // Beside the face the distance is at least that to the circle about it.
   const double beside = (point - centers_[face]).norm() - radii_[face];
@@ -81,8 +115,8 @@ void LayerFinder::meet(std::uint32_t vertex, std::uint32_t face, const Vector3d&
   }
 }
 
-std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::span<const Float4> upsampled, float reach,
-                                                float thickness) {
+std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::span<const Float4> upsampled,
+                                                std::span<const Float4> fine, float reach, float thickness) {
   for (std::size_t f = 0; f < boxes_.size(); ++f) {
     const auto face = static_cast<Eigen::Index>(f);
     const Vector3d a = row(coarse, coarse_faces_(face, 0)), b = row(coarse, coarse_faces_(face, 1)),
@@ -114,7 +148,7 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
     for (std::uint32_t k = vertices_of_begin_[of]; k < vertices_of_begin_[of + 1]; ++k) {
       const std::uint32_t v = vertices_of_[k];
       const Float4 p = upsampled[v];
-      meet(v, face, {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])}, coarse);
+      meet(v, of, face, {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])}, coarse);
     }
   };
   tree_.visit_self_pairs([&](std::uint32_t f, std::uint32_t g) {
@@ -128,8 +162,9 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
     return true;
   });
   contacts_.clear();
-  for (std::uint32_t v = 0; v < nearest_.size(); ++v) {
-    const Nearest& nearest = nearest_[v];
+  for (std::uint32_t k = 0; k < nearest_.size(); ++k) {
+    const Nearest& nearest = nearest_[k];
+    const std::uint32_t v = k / 2;
     if (nearest.face == kNone || nearest.squared_distance <= 0) continue;
     LayerContact contact{};
     contact.vertex = v;
@@ -140,7 +175,13 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
     const bool above = normals_[nearest.face].dot(point - row(coarse, coarse_faces_(nearest.face, 0))) > 0;
     contact.normal = to_float4(above ? normals_[nearest.face] : Vector3d(-normals_[nearest.face]));
     contact.gap = std::min(thickness, static_cast<float>(std::sqrt(nearest.squared_distance)));
-    contact.face = descend(nearest.face, contact.weights);
+    std::uint32_t face = descend(nearest.face, contact.weights), walked = face;
+    std::array<float, 3> weights = contact.weights;
+    if (walk(contact, fine, walked, weights)) {
+      face = walked;
+      contact.weights = weights;
+    }
+    for (int c = 0; c < 3; ++c) contact.face[static_cast<std::size_t>(c)] = fine_faces_(face, c);
     contacts_.push_back(contact);
   }
   return contacts_;

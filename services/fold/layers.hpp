@@ -28,17 +28,22 @@ class LayerFinder {
   /// subdivision: of `coarse`, by midpoints of edges as subdivide() numbers them.
   LayerFinder(const Topology& coarse, const Subdivision& subdivision);
 
-  /// For each fine vertex the nearest point of another layer of the upsampled coarse cloth that is nearer than `reach`
-  /// (m), if it lies about across the cloth; gaps are `thickness` or what the coarse cloth has, whichever is less.
-  /// O(V_fine + pairs of near coarse faces). The result lives until the next call.
-  std::span<const LayerContact> find(const Positions& coarse, std::span<const Float4> upsampled, float reach,
-                                     float thickness);
+  /// For each fine vertex, on either side, the nearest point of another layer of the upsampled coarse cloth that is
+  /// nearer than `reach` (m), if it lies about across the cloth; gaps are `thickness` or what the coarse cloth has,
+  /// whichever is less. From there the point goes to where the vertex stands before that layer of the fine cloth, along
+  /// the normal, if that is not far. O(V_fine + pairs of near coarse faces). The result lives until the next call.
+  std::span<const LayerContact> find(const Positions& coarse, std::span<const Float4> upsampled,
+                                     std::span<const Float4> fine, float reach, float thickness);
 
  private:
-  void meet(std::uint32_t vertex, std::uint32_t face, const Eigen::Vector3d& point, const Positions& coarse);
-  std::array<std::uint32_t, 3> descend(std::uint32_t face, std::array<float, 3>& weights) const;
+  void meet(std::uint32_t vertex, std::uint32_t own, std::uint32_t face, const Eigen::Vector3d& point,
+            const Positions& coarse);
+  std::uint32_t descend(std::uint32_t face, std::array<float, 3>& weights) const;
+  bool walk(const LayerContact& contact, std::span<const Float4> fine, std::uint32_t& face,
+            std::array<float, 3>& weights) const;
 
   Faces coarse_faces_, fine_faces_;
+  std::vector<std::array<std::uint32_t, 3>> fine_neighbours_;  // across the edge that starts at each corner, or kNone
   int rounds_ = 0;
   std::vector<std::uint32_t> vertices_of_begin_, vertices_of_;  // fine vertices by coarse face
   Bvh tree_;
@@ -50,7 +55,7 @@ class LayerFinder {
     std::uint32_t face;
     Eigen::Vector3d weights;
   };
-  std::vector<Nearest> nearest_;
+  std::vector<Nearest> nearest_;  // per vertex on either side
   std::vector<LayerContact> contacts_;
 };
 

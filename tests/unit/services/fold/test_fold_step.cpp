@@ -6,7 +6,7 @@
 #include <functional>
 
 #include "common/base/error.hpp"
-#include "services/simulation/averages.hpp"
+#include "services/refinement/judge.hpp"
 #include "tests/unit/services/simulation/garments.hpp"
 
 namespace pleat::fold {
@@ -182,6 +182,22 @@ TEST_F(FoldStepTest, WhatIsHeldStays) {
   FoldState state;
   for (int k = 0; k < 10; ++k) step.fold({rest, still, {}, held}, state);
   for (const std::uint32_t h : held) EXPECT_LT((state.positions.row(h) - rest.row(h)).norm(), 1e-3f);
+}
+
+// A pleat that has been pulled through the cloth beside it.
+TEST_F(FoldStepTest, WhatPassesThroughItselfGoesBack) {
+  options.gravity.setZero();
+  FoldStep step = make();
+  FoldState state;
+  step.fold({rest, still}, state);
+  for (Eigen::Index v = 0; v < state.positions.rows(); ++v) {
+    const float along = state.positions(v, 0), height = 0.04f * std::exp(-along * along / 8e-4f);
+    state.positions(v, 0) += 3 * height * std::tanh(-along / 0.01f);
+    state.positions(v, 1) += height;
+  }
+  ASSERT_GT(count_self_intersections(state.positions, subdivision.fine.faces), 0u);
+  for (int k = 0; k < 20; ++k) step.fold({rest, still}, state);
+  EXPECT_EQ(count_self_intersections(state.positions, subdivision.fine.faces), 0u);
 }
 
 TEST_F(FoldStepTest, AStartDrawsTheClothToItself) {

@@ -38,13 +38,16 @@ class LayersTest : public testing::Test {
 };
 
 TEST_F(LayersTest, AFlatSheetHasOneLayer) {
-  EXPECT_TRUE(finder.find(coarse.rest_positions, upsampled(coarse.rest_positions), 0.02f, 3e-3f).empty());
+  EXPECT_TRUE(
+      finder
+          .find(coarse.rest_positions, upsampled(coarse.rest_positions), upsampled(coarse.rest_positions), 0.02f, 3e-3f)
+          .empty());
 }
 
 TEST_F(LayersTest, FindsThePointOppositeOfAVertexOnTheCoarseCloth) {
   const Positions positions = folded(coarse.rest_positions, 0.01f);
   const auto fine = upsampled(positions);
-  const auto contacts = finder.find(positions, fine, 0.02f, 3e-3f);
+  const auto contacts = finder.find(positions, fine, fine, 0.02f, 3e-3f);
   ASSERT_GT(contacts.size(), fine.size() / 2);
   for (const LayerContact& c : contacts) {
     Float4 opposite{};
@@ -62,13 +65,34 @@ TEST_F(LayersTest, FindsThePointOppositeOfAVertexOnTheCoarseCloth) {
   }
 }
 
+// Where the fine cloth has slid along the coarse one, a vertex meets the point that it stands before.
+TEST_F(LayersTest, GoesToThePointThatTheFineVertexStandsBefore) {
+  const Positions positions = folded(coarse.rest_positions, 0.01f);
+  const auto base = upsampled(positions);
+  std::vector<Float4> fine = base;
+  for (std::size_t v = 0; v < fine.size(); ++v) {
+    if (base[v][1] > 0.005f) fine[v] += Float4{0, 0, 0.03f, 0};  // the upper layer slides by one and a half fine edges
+  }
+  std::size_t met = 0;
+  for (const LayerContact& c : finder.find(positions, base, fine, 0.02f, 3e-3f)) {
+    Float4 opposite{};
+    for (std::size_t k = 0; k < 3; ++k) opposite += c.weights[k] * fine[c.face[k]];
+    const Float4 d = fine[c.vertex] - opposite;
+    const bool border = std::abs(fine[c.vertex][2]) > 0.15f || std::abs(fine[c.vertex][0]) < 0.15f;
+    if (border) continue;
+    EXPECT_LT(std::hypot(d[0], d[2]), 1e-4f);
+    ++met;
+  }
+  EXPECT_GT(met, fine.size() / 4);
+}
+
 TEST_F(LayersTest, FarLayersDoNotMeetAndThinOnesKeepTheirOwnGap) {
   const Positions far = folded(coarse.rest_positions, 0.05f);
-  for (const LayerContact& c : finder.find(far, upsampled(far), 0.02f, 3e-3f)) {
+  for (const LayerContact& c : finder.find(far, upsampled(far), upsampled(far), 0.02f, 3e-3f)) {
     EXPECT_LT(std::abs(upsampled(far)[c.vertex][0]), 0.11f);  // beside the fold, where the layers come together
   }
   const Positions thin = folded(coarse.rest_positions, 1e-3f);
-  const auto contacts = finder.find(thin, upsampled(thin), 0.02f, 3e-3f);
+  const auto contacts = finder.find(thin, upsampled(thin), upsampled(thin), 0.02f, 3e-3f);
   ASSERT_FALSE(contacts.empty());
   for (const LayerContact& c : contacts) EXPECT_LT(c.gap, 1.1e-3f);
 }
