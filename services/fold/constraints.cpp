@@ -159,13 +159,13 @@ HingePacks::HingePacks(std::vector<Hinge> hinges, std::uint32_t nowhere)
   }
 }
 
-void HingePacks::set_step(std::span<const float> inverse_masses, float squared_time) {
+void HingePacks::set_step(std::span<const float> inverse_masses, float step_s) {
   for (std::size_t p = 0; p < packs_.size(); ++p) {
     for (std::size_t lane = 0; lane < members_[p].size(); ++lane) {
       const Hinge& hinge = hinges_[members_[p][lane]];
       float sum = 0;
       for (std::size_t k = 0; k < 4; ++k) sum += inverse_masses[hinge.v[k]] * hinge.weights[k] * hinge.weights[k];
-      const float share = sum > 0 ? 1 / (sum + 1 / (hinge.stiffness * squared_time)) : 0;
+      const float share = sum > 0 ? 1 / (sum + 1 / (hinge.stiffness * step_s * step_s)) : 0;
       for (std::size_t k = 0; k < 4; ++k) {
         packs_[p].shares[k][static_cast<int>(lane)] = share * inverse_masses[hinge.v[k]] * hinge.weights[k];
       }

@@ -67,8 +67,7 @@ class HingePacks {
  public:
   HingePacks() = default;
   HingePacks(std::vector<Hinge> hinges, std::uint32_t nowhere);
-  /// squared_time: the square of the time that a solve() stands for, s^2.
-  void set_step(std::span<const float> inverse_masses, float squared_time);
+  void set_step(std::span<const float> inverse_masses, float step_s);
   void solve(std::span<Float4> x) const;
 
  private:

@@ -23,12 +23,11 @@ using Clock = std::chrono::steady_clock;
 
 // One iteration a step leaves bending softer than it is; by this factor the fine tablecloth wrinkles as one that is
 // simulated in steps of 10 ms (bench_fold_step).
-constexpr float kBending = 4;
+constexpr float kBending = 3;
 // The coarser levels carry tension: their springs have the modulus of a cloth that is stretched.
 constexpr double kLevelStrain = 0.1;
 constexpr int kMostSteps = 512;
-constexpr int kHingeEvery = 2;  // steps
-constexpr int kPullEvery = 4;   // steps
+constexpr int kPullEvery = 4;  // steps
 // The coarse cloth's motion at large, averages over many rings, is followed with this frequency (rad/s), critically
 // damped: what acts on the cloth there (weight, wind, whatever moved it) is the coarse cloth's affair.
 constexpr float kLargeFrequency = 8;
@@ -214,7 +213,7 @@ struct FoldStep::Work {
     std::vector<float> mobile(inverse_masses);
     for (const std::uint32_t i : pins) mobile[i] = 0;
     springs.set_step(mobile, step_s);
-    hinges.set_step(mobile, static_cast<float>(kHingeEvery) * step_s * step_s);
+    hinges.set_step(mobile, step_s);
     for (Level& level : levels) {
       std::vector<float> mobile_level(level.inverse_masses);
       for (std::uint32_t i = 0; i < level.size; ++i) mobile_level[i] = fixed[i] ? 0 : mobile_level[i];
@@ -421,7 +420,7 @@ struct FoldStep::Work {
     solve_levels();
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
     springs.solve(x, false);
-    if (index % kHingeEvery == 0) hinges.solve(x);
+    hinges.solve(x);
     sort_layers();
     keep_out();
     for (std::uint32_t i = 0; i < count; ++i) v[i] = (x[i] - before[i]) / step_s;
