@@ -10,6 +10,7 @@ namespace {
 
 using Eigen::Vector2d;
 
+constexpr float kLeastStiffness = 1e-6f;  // N/m
 constexpr double kBendingCurvature = 10;  // 1/m, of an open fold
 
 class Pattern {
@@ -60,10 +61,12 @@ std::vector<float> lumped_masses(const Topology& mesh, double density) {
   return result;
 }
 
-std::vector<Spring> edge_springs(const Topology& mesh, const simulation::Material& material, double strain) {
+std::vector<Spring> edge_springs(const Topology& mesh, const simulation::Material& material) {
   const Pattern pattern(mesh);
-  const simulation::Moduli warp = simulation::StretchingTable::exact(material, strain, 0, 0);
-  const simulation::Moduli weft = simulation::StretchingTable::exact(material, 0, strain, 0);
+  const double strain = (std::pow(1 + static_cast<double>(kFullStretch), 2) - 1) / 2;  // Green's
+  const simulation::Moduli rest = simulation::StretchingTable::exact(material, 0, 0, 0),
+                           warp = simulation::StretchingTable::exact(material, strain, 0, 0),
+                           weft = simulation::StretchingTable::exact(material, 0, strain, 0);
   std::vector<Spring> springs;
   for (const Edge& edge : build_connectivity(mesh.vertex_count(), mesh.faces).edges) {
     const Vector2d side0 = pattern.between(edge.f0, edge.v0, edge.v1);
@@ -71,9 +74,12 @@ std::vector<Spring> edge_springs(const Topology& mesh, const simulation::Materia
     const double length = (side0.norm() + side1.norm()) / 2;
     const double area = pattern.area(edge.f0) + (edge.f1 == kNone ? 0 : pattern.area(edge.f1));
     const double along_u = side0.x() * side0.x() / side0.squaredNorm();
-    const double modulus = along_u * static_cast<double>(warp.c11) + (1 - along_u) * static_cast<double>(weft.c22);
+    const auto stiffness = [&](float u, float v) {
+      const double modulus = along_u * static_cast<double>(u) + (1 - along_u) * static_cast<double>(v);
+      return static_cast<float>(modulus * area / (length * length));
+    };
     springs.push_back(
-        {{edge.v0, edge.v1}, static_cast<float>(length), static_cast<float>(modulus * area / (length * length))});
+        {{edge.v0, edge.v1}, static_cast<float>(length), stiffness(rest.c11, rest.c22), stiffness(warp.c11, weft.c22)});
   }
   return springs;
 }
@@ -117,25 +123,29 @@ SpringPacks::SpringPacks(std::vector<Spring> springs, std::uint32_t nowhere)
 }
 
 void SpringPacks::set_step(std::span<const float> inverse_masses, float step_s) {
+  const float squared = step_s * step_s;
   for (std::size_t p = 0; p < packs_.size(); ++p) {
     for (std::size_t lane = 0; lane < members_[p].size(); ++lane) {
+      const auto l = static_cast<int>(lane);
       const Spring& spring = springs_[members_[p][lane]];
-      const float w0 = inverse_masses[spring.v[0]], w1 = inverse_masses[spring.v[1]];
-      const float share = w0 + w1 > 0 ? 1 / (w0 + w1 + 1 / (spring.stiffness * step_s * step_s)) : 0;
-      packs_[p].share0[static_cast<int>(lane)] = share * w0;
-      packs_[p].share1[static_cast<int>(lane)] = share * w1;
+      packs_[p].mobility0[l] = inverse_masses[spring.v[0]];
+      packs_[p].mobility1[l] = inverse_masses[spring.v[1]];
+      packs_[p].stiffness[l] = squared * std::max(spring.stiffness, kLeastStiffness);
+      packs_[p].growth[l] = squared * (spring.stretched - spring.stiffness) / kFullStretch;
     }
   }
 }
 
 void SpringPacks::solve(std::span<Float4> x, bool stretched_only) const {
-  const Float8 least = broadcast8(stretched_only ? 0.0f : -1e9f);
+  const Float8 least = broadcast8(stretched_only ? 0.0f : -1e9f), full = broadcast8(kFullStretch);
   for (const Pack& pack : packs_) {
     Float4 rows[kLanes];
     for (std::size_t k = 0; k < kLanes; ++k) rows[k] = x[pack.v[1][k]] - x[pack.v[0][k]];
     const Vector8 d = from_rows(rows);
     const Float8 error = max(1 - pack.rest / max(sqrt(dot(d, d)), broadcast8(1e-9f)), least);
-    const Float8 move0 = error * pack.share0, move1 = error * pack.share1;
+    const Float8 stiffness = pack.stiffness + pack.growth * min(max(error, Float8{}), full);
+    const Float8 move = error * stiffness / (stiffness * (pack.mobility0 + pack.mobility1) + 1);
+    const Float8 move0 = move * pack.mobility0, move1 = move * pack.mobility1;
     for (std::size_t k = 0; k < kLanes; ++k) {
       const auto lane = static_cast<int>(k);
       x[pack.v[0][k]] += move0[lane] * rows[k];

@@ -13,11 +13,14 @@
 
 namespace pleat::fold {
 
+/// Stiffness grows linearly with the stretch, from the one at rest to the other at a stretch by kFullStretch, and is
+/// constant outside.
 struct Spring {
   std::array<std::uint32_t, 2> v;
-  float rest;       ///< m
-  float stiffness;  ///< N/m
+  float rest;                  ///< m
+  float stiffness, stretched;  ///< N/m, at rest and stretched
 };
+inline constexpr float kFullStretch = 1.0f / 6;  ///< where materials are measured
 
 /// Energy stiffness / 2 |sum_k weights[k] x_k|^2: the quadratic bending of a hinge that is flat at rest and hardly
 /// stretched (Bergou et al. 2006). The sum's length is the hinge's angle, for small ones.
@@ -31,9 +34,8 @@ struct Hinge {
 std::vector<float> lumped_masses(const Topology& mesh, double density);
 
 /// Springs along all edges that together resist as the sheet does (Van Gelder 1998: E sum of areas / l^2), E the
-/// modulus in the edge's direction at a Green strain. Lengths in material coordinates; at seams the mean of both
-/// sides'.
-std::vector<Spring> edge_springs(const Topology& mesh, const simulation::Material& material, double strain);
+/// material's modulus in the edge's direction. Lengths in material coordinates; at seams the mean of both sides'.
+std::vector<Spring> edge_springs(const Topology& mesh, const simulation::Material& material);
 
 /// Hinges of all inner edges, with the bending stiffness that the simulation gives them (simulation/elements.hpp) at a
 /// curvature of 10 1/m.
@@ -52,10 +54,11 @@ class SpringPacks {
   void solve(std::span<Float4> x, bool stretched_only) const;
 
  private:
-  // Per lane: the rest length, and the share of its error by which each end moves; 0 where there is no spring.
+  // Per lane: the rest length, the ends' mobilities (0 where there is no spring), and stiffness times step^2: at rest,
+  // and what it grows by.
   struct Pack {
     std::array<Lanes, 2> v{};
-    Float8 rest{}, share0{}, share1{};
+    Float8 rest{}, mobility0{}, mobility1{}, stiffness = broadcast8(1), growth{};
   };
   std::vector<Spring> springs_;
   std::vector<std::vector<std::uint32_t>> members_;

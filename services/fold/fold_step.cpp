@@ -24,8 +24,6 @@ using Clock = std::chrono::steady_clock;
 // One iteration a step leaves bending softer than it is; by this factor the fine tablecloth wrinkles as one that is
 // simulated in steps of 10 ms (bench_fold_step).
 constexpr float kBending = 3;
-// The coarser levels carry tension: their springs have the modulus of a cloth that is stretched.
-constexpr double kLevelStrain = 0.1;
 constexpr int kMostSteps = 512;
 constexpr int kPullEvery = 4;  // steps
 // The coarse cloth's motion at large, averages over many rings, is followed with this frequency (rad/s), critically
@@ -131,9 +129,9 @@ struct FoldStep::Work {
       Level& level = levels.emplace_back();
       level.size = s.level_sizes[round];
       for (const float mass : lumped_masses(mesh, o.material.density)) level.inverse_masses.push_back(1 / mass);
-      level.springs = SpringPacks(edge_springs(mesh, o.material, kLevelStrain), count);
+      level.springs = SpringPacks(edge_springs(mesh, o.material), count);
     }
-    springs = SpringPacks(edge_springs(s.fine, o.material, 0), count);
+    springs = SpringPacks(edge_springs(s.fine, o.material), count);
     std::vector<Hinge> bending = edge_hinges(s.fine, o.material);
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
     hinges = HingePacks(std::move(bending), count);

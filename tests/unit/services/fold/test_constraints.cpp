@@ -37,7 +37,7 @@ TEST_F(ConstraintsTest, MassesAreThoseOfTheSheet) {
 
 TEST_F(ConstraintsTest, NothingMovesAtRest) {
   const std::vector<Float4> before = x;
-  SpringPacks springs(edge_springs(mesh, material, 0), count);
+  SpringPacks springs(edge_springs(mesh, material), count);
   HingePacks hinges(edge_hinges(mesh, material), count);
   springs.set_step(inverse_masses, 0.002f);
   hinges.set_step(inverse_masses, 0.002f);
@@ -47,7 +47,7 @@ TEST_F(ConstraintsTest, NothingMovesAtRest) {
 }
 
 TEST_F(ConstraintsTest, AnEdgeHasOneSpringAndAPackNoVertexTwice) {
-  const auto springs = edge_springs(mesh, material, 0);
+  const auto springs = edge_springs(mesh, material);
   EXPECT_EQ(springs.size(), build_connectivity(mesh.vertex_count(), mesh.faces).edges.size());
   const auto hinges = edge_hinges(mesh, material);
   std::size_t packed = 0;
@@ -63,7 +63,7 @@ TEST_F(ConstraintsTest, AnEdgeHasOneSpringAndAPackNoVertexTwice) {
 
 // XPBD's first iteration: the error shrinks by the share of the compliance, momentum stays.
 TEST_F(ConstraintsTest, ASpringMovesItsEndsByTheirMobility) {
-  const std::vector<Spring> one{{{0, 1}, 0.1f, 50.0f}};
+  const std::vector<Spring> one{{{0, 1}, 0.1f, 50.0f, 50.0f}};
   const std::vector<float> mobility{2000, 1000};
   std::vector<Float4> y{Float4{}, Float4{0, 0.13f, 0, 0}, Float4{}};
   SpringPacks springs(one, 2);
