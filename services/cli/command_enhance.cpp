@@ -57,6 +57,7 @@ class StandIn {
 };
 
 int enhance(const EnhanceOptions& options) {
+  const v1::Detail detail = choose_detail(options.detail, options.model);
   const Topology rest = read_obj(options.rest);
   validate_material_coordinates(rest, options.rest);
   const auto sequence = presentation::open_frame_sequence(options.frames, rest);
@@ -70,7 +71,6 @@ int enhance(const EnhanceOptions& options) {
   const fs::path out = options.out;
   std::optional<ScratchFolder> work;
   std::optional<Launcher> launcher;
-  const v1::Detail detail = choose_detail(options.detail, options.model);
   const std::string material = options.material.empty() ? "" : read_text_file(options.material);
   ModelChoice model{options.model, {}};
   if (options.coordinator.empty() && uses_network(detail)) model = choose_model(options.model);

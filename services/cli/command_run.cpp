@@ -71,10 +71,10 @@ class Run {
   explicit Run(const RunOptions& options) : options_(options), out_(options.out) {}
 
   int operator()() {
+    const v1::Detail detail = choose_detail(options_.detail, options_.model);
     v1::Scene scene = presentation::read_scene_file(options_.scene);
     if (options_.untangle) scene.set_untangle(true);
     const bool local = options_.coordinator.empty();
-    const v1::Detail detail = choose_detail(options_.detail, options_.model);
     ModelChoice model{options_.model, {}};
     if (local && uses_network(detail)) model = choose_model(options_.model);
     make_output_folder(out_);

@@ -156,10 +156,9 @@ TEST_F(ServicesTest, KillingEveryServiceLeavesTheSameBits) {
 }
 
 TEST_F(ServicesTest, TheFoldStepMakesCleanFramesAndAKillLeavesTheirBits) {
-  constexpr std::uint32_t kShort = 24;
   for (const v1::Detail detail : {v1::DETAIL_FOLD, v1::DETAIL_BOTH}) {
     const std::string name = detail == v1::DETAIL_FOLD ? "folded" : "folded-network";
-    create(name, kShort, false, stub_.get(), detail);
+    create(name, kFrames, false, stub_.get(), detail);
     const v1::Job undisturbed = finished(name);
     ASSERT_EQ(undisturbed.state(), v1::Job::STATE_DONE) << undisturbed.error() << "\n" << logs();
     EXPECT_EQ(undisturbed.summary().penetrations(), 0U);
@@ -167,12 +166,12 @@ TEST_F(ServicesTest, TheFoldStepMakesCleanFramesAndAKillLeavesTheirBits) {
     EXPECT_EQ(undisturbed.summary().frame_errors(), 0U);
     const ResultReader reader(undisturbed.result_path());
     EXPECT_GT(reader.stage_ms("fold", 5, 6)[0], 0.0F);
-    const auto restarts = reader.counts("fold_restarts", 0, kShort);
+    const auto restarts = reader.counts("fold_restarts", 0, kFrames);
     EXPECT_EQ(std::count(restarts.begin(), restarts.end(), 1U), 1) << "the first frame alone begins anew";
     // A coordinator that goes on makes the frames again that lie behind its check-point.
     for (const std::string service : {"fold", "coordinator"}) {
       const std::string id = name + "-without-" + service;
-      create(id, kShort, false, stub_.get(), detail);
+      create(id, kFrames, false, stub_.get(), detail);
       ASSERT_TRUE(eventually([&] { return get(id).frames_complete() >= 4; })) << logs();
       EXPECT_EQ(get(id).state(), v1::Job::STATE_RUNNING) << "the kill must hit a running job";
       processes_->kill(service);
