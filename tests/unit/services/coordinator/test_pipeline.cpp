@@ -195,7 +195,7 @@ TEST_F(FoldedPipeline, AnotherReplicaGoesOnWhereOneBrokeOff) {
 
 TEST_F(FoldedPipeline, BeginsAnewBehindAFrameThatIsMissing) {
   fakes_.fold().faults.at(4, Faults::Kind::kFrameError);
-  fakes_.fold().faults.at(8, Faults::Kind::kBreak, 5);
+  fakes_.fold().faults.at(8, Faults::Kind::kBreak, 100);
   fakes_.fold().faults.at(9, Faults::Kind::kWrongSize);
   run(14);
   for (const std::uint64_t index : {4U, 8U, 9U}) EXPECT_TRUE(out_[index]->error) << index;
