@@ -4,8 +4,8 @@
 
 namespace pleat {
 
-v1::Detail checked_detail(v1::Detail detail, const std::string& field) {
-  if (detail == v1::DETAIL_UNSPECIFIED) return kDefaultDetail;
+v1::Detail checked_detail(v1::Detail detail, std::string_view model, const std::string& field) {
+  if (detail == v1::DETAIL_UNSPECIFIED) return default_detail(model);
   if (!v1::Detail_IsValid(detail)) {
     throw_invalid_argument(field + ": unknown value " + std::to_string(static_cast<int>(detail)));
   }

@@ -9,11 +9,14 @@
 
 namespace pleat {
 
-/// Where nobody says what it should be.
-inline constexpr v1::Detail kDefaultDetail = v1::DETAIL_NETWORK;
+/// Where nobody says what it should be: a network if a bundle (`model`) is named, else the fold step, which serves any
+/// garment.
+inline v1::Detail default_detail(std::string_view model) {
+  return model.empty() ? v1::DETAIL_FOLD : v1::DETAIL_NETWORK;
+}
 
-/// Never DETAIL_UNSPECIFIED. Throws kInvalidArgument, naming `field`, for values that are none.
-v1::Detail checked_detail(v1::Detail detail, const std::string& field);
+/// Never DETAIL_UNSPECIFIED, which is the default. Throws kInvalidArgument, naming `field`, for values that are none.
+v1::Detail checked_detail(v1::Detail detail, std::string_view model, const std::string& field);
 
 /// Of a checked detail.
 inline bool uses_network(v1::Detail detail) { return detail == v1::DETAIL_NETWORK || detail == v1::DETAIL_BOTH; }

@@ -59,7 +59,7 @@ void write_reports(const fs::path& folder, presentation::ReportSummary summary) 
 }
 
 v1::Detail choose_detail(const std::string& text, const std::string& model) {
-  const v1::Detail detail = checked_detail(detail_named(text), "--detail");
+  const v1::Detail detail = checked_detail(detail_named(text), model, "--detail");
   if (!uses_network(detail) && !model.empty())
     throw_invalid_argument("--model " + model + ": --detail " + std::string(name_of(detail)) + " uses no bundle");
   return detail;

@@ -29,9 +29,10 @@ void add_tls_options(CLI::App& app, rpc::TlsOptions& tls) {
 }
 
 void add_detail_option(CLI::App& app, std::string& detail) {
-  app.add_option("--detail", detail,
-                 "what makes the wrinkles: a network, the fold step (no bundle), or both (default: " +
-                     std::string(name_of(kDefaultDetail)) + ")")
+  app.add_option(
+         "--detail", detail,
+         "what makes the wrinkles: a network, the fold step (no bundle), or both (default: network with --model, "
+         "else fold)")
       ->check(CLI::IsMember({"network", "fold", "both"}));
 }
 

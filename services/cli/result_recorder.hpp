@@ -23,7 +23,7 @@ struct RecordingOptions {
   std::string model;
   std::string scene;  ///< JSON, may be empty
   std::vector<ObstacleShape> obstacles;
-  v1::Detail detail = kDefaultDetail;  ///< asked for, checked
+  v1::Detail detail = v1::DETAIL_NETWORK;  ///< asked for, checked
 };
 
 /// Frames must come in order from 0, as streams deliver them. Not thread-safe.

@@ -150,7 +150,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
 
   PipelineSession session;
   // The service's default bundle may be another one by now.
-  session.detail = checked_detail(request.detail(), "detail");
+  session.detail = checked_detail(request.detail(), request.model(), "detail");
   const bool network = uses_network(session.detail), fold = uses_fold(session.detail);
   const auto bundle = network ? load_bundle(folder / "bundle.pb", partial) : std::nullopt;
   session.window = settings_.window;

@@ -87,7 +87,7 @@ JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
   if (request.frames() != 0) scene.set_frames(request.frames());
   if (scene.frames() == 0) throw_invalid_argument("scene.frames: is 0");
   // The job stays what it is, whatever the default becomes.
-  complete.set_detail(checked_detail(request.detail(), "detail"));
+  complete.set_detail(checked_detail(request.detail(), request.model(), "detail"));
   if (scene.frames() > settings_.max_frames) {
     throw Error(ErrorCode::kResourceExhausted, "scene.frames: " + std::to_string(scene.frames()) + ", the limit is " +
                                                    std::to_string(settings_.max_frames));

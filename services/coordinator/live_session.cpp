@@ -105,7 +105,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     PipelineSession session;
     session.coarse = open.coarse();
     session.coarse.set_hash(topology_hash(coarse));
-    session.detail = checked_detail(open.detail(), "open.detail");
+    session.detail = checked_detail(open.detail(), open.model(), "open.detail");
     if (uses_network(session.detail)) {
       session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
       session.representation = representation_of(session.model);

@@ -226,7 +226,7 @@ TEST_F(LauncherTest, ForeignFilesInAnOutputFolderSurvive) {
       EXPECT_TRUE(!name.starts_with(".pleat-work-") || name == ".pleat-work-mine") << name;
     }
     // Files in the place of the results are refused before anything begins.
-    for (const char* name : {"result.h5", "result.h5.partial", "report.json", "report.html", "logs/superres.log"}) {
+    for (const char* name : {"result.h5", "result.h5.partial", "report.json", "report.html", "logs/fold.log"}) {
       const fs::path path = out / name;
       fs::remove(path);
       std::ofstream(path) << "mine";

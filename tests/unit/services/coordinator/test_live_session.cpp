@@ -44,6 +44,7 @@ class LiveSessionTest : public CoordinatorTest {
     v1::EnhanceRequest request;
     *request.mutable_open()->mutable_coarse() = to_message(coarse_);
     request.mutable_open()->add_obstacles()->set_name("ball");
+    request.mutable_open()->set_detail(v1::DETAIL_NETWORK);
     return request;
   }
   std::unique_ptr<Client> open(const v1::EnhanceRequest& request) {
