@@ -12,7 +12,7 @@ PACKAGES := $(shell sed -n '/^[^#]/p' cmake/packages.txt)
 SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 
 FUZZ_SECONDS ?= 120
-FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_refine
+FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine
 
 .PHONY: help setup configure build programs demo test bench lint format sanitize fuzz clean compose-demo dataset model viewer proto-descriptor
 
@@ -71,7 +71,7 @@ sanitize: setup ## build with address and undefined-behaviour sanitizers and run
 	@cmake --preset asan-ubsan >/dev/null && cmake --build --preset asan-ubsan -j $(JOBS)
 	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 ctest --test-dir build-asan --output-on-failure -LE 'browser|bench'
 
-fuzz: setup ## fuzz the inputs of conversion and refinement, FUZZ_SECONDS each (tests/fuzz/README.md)
+fuzz: setup ## fuzz the inputs of conversion, fold step and refinement, FUZZ_SECONDS each (tests/fuzz/README.md)
 	@$(MAKE) --no-print-directory setup PACKAGES="clang libclang-rt-14-dev"
 	@cmake --preset fuzz >build-fuzz-configure.log 2>&1 || { cat build-fuzz-configure.log; exit 1; }; rm -f build-fuzz-configure.log
 	@cmake --build build-fuzz -j $(JOBS) --target $(FUZZERS)

@@ -13,7 +13,7 @@ docker info >/dev/null 2>&1 || { echo "compose-demo: no Docker engine answers; s
 export DOCKER_BUILDKIT=0 COMPOSE_DOCKER_CLI_BUILD=0 COMPOSE_PROJECT_NAME=pleat
 revision=$(git rev-parse --short HEAD 2>/dev/null || echo unknown)
 build() { docker build -q --network host -f docker/Dockerfile --build-arg GIT_REVISION="$revision" --target "$1" -t "pleat-$1" . >/dev/null; }
-for image in build simulation conversion superres refinement coordinator cli; do
+for image in build simulation conversion superres fold refinement coordinator cli; do
   echo "compose-demo: image pleat-$image"
   build "$image"
 done

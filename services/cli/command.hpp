@@ -30,6 +30,9 @@ std::vector<Command> add_bench(CLI::App& root);
 /// --tls-ca, --tls-certificate, --tls-key, --tls-server-name, for coordinators on other hosts.
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls);
 
+/// --detail network|fold|both; empty: what the coordinator takes where nobody says it.
+void add_detail_option(CLI::App& app, std::string& detail);
+
 /// The whole program: parses, runs, turns every exception into one line and an exit code.
 int run_pleat(int argc, const char* const* argv);
 

@@ -6,6 +6,7 @@
 #include "common/base/progress.hpp"
 #include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
+#include "common/base/text_file.hpp"
 #include "common/client/adapter/adapter.hpp"
 #include "common/client/cpp/client.hpp"
 #include "common/mesh/obj.hpp"
@@ -25,11 +26,12 @@ using Clock = std::chrono::steady_clock;
 constexpr double kDefaultFramesPerSecond = 25;
 
 struct EnhanceOptions {
-  std::string rest, frames, out, model, coordinator;
+  std::string rest, frames, out, model, detail, material, coordinator;
   std::vector<std::string> obstacles;
   double fps = 0, timeout_s = 30;
   std::uint32_t window = 0;
   std::optional<std::uint32_t> rounds;
+  std::vector<std::uint32_t> held;
   std::uint64_t count = 0;
   rpc::TlsOptions tls;
 };
@@ -55,6 +57,7 @@ class StandIn {
 };
 
 int enhance(const EnhanceOptions& options) {
+  const v1::Detail detail = choose_detail(options.detail, options.model);
   const Topology rest = read_obj(options.rest);
   validate_material_coordinates(rest, options.rest);
   const auto sequence = presentation::open_frame_sequence(options.frames, rest);
@@ -68,14 +71,17 @@ int enhance(const EnhanceOptions& options) {
   const fs::path out = options.out;
   std::optional<ScratchFolder> work;
   std::optional<Launcher> launcher;
+  const std::string material = options.material.empty() ? "" : read_text_file(options.material);
   ModelChoice model{options.model, {}};
-  if (options.coordinator.empty()) model = choose_model(options.model);
+  if (options.coordinator.empty() && uses_network(detail)) model = choose_model(options.model);
   make_output_folder(out);
   std::string address = options.coordinator;
   if (address.empty()) {
     LauncherOptions launch;
     launch.models = model.folder;
     launch.model = model.name;
+    launch.network = uses_network(detail);
+    launch.fold = uses_fold(detail);
     work.emplace(out, kWorkPrefix);
     launch.data = work->path();
     launch.logs = out / "logs";
@@ -91,7 +97,10 @@ int enhance(const EnhanceOptions& options) {
                                                    .frame_time_s = frame_time,
                                                    .obstacles = client::from_shapes(shapes),
                                                    .window = options.window,
-                                                   .subdivision_rounds = options.rounds});
+                                                   .subdivision_rounds = options.rounds,
+                                                   .detail = launcher ? detail : detail_named(options.detail),
+                                                   .material_json = material,
+                                                   .held = options.held});
   const client::SessionInfo& info = session.info();
   ResultRecorder recorder({out / "result.h5",
                            {rest, client::to_topology(info.fine), info.feature_vertices},
@@ -99,7 +108,8 @@ int enhance(const EnhanceOptions& options) {
                            frame_time,
                            info.model,
                            "",
-                           shapes});
+                           shapes,
+                           detail});
   StandIn stand_in(rest, info.fine);
   std::optional<Error> first_error;
   Progress progress("frames", count);
@@ -146,6 +156,7 @@ int enhance(const EnhanceOptions& options) {
   summary.device = info.device;
   summary.precision = info.precision;
   summary.wall_s = wall_s;
+  summary.extra["detail"] = name_of(info.detail);
   summary.extra["frame_errors"] = recorder.frame_errors();
   write_reports(out, std::move(summary));
   return kExitDone;
@@ -164,6 +175,12 @@ std::vector<Command> add_enhance(CLI::App& root) {
   app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
   app->add_option("--model", options->model,
                   "model bundle: a file, or a name in deploy/models (default: the service's)");
+  add_detail_option(*app, options->detail);
+  app->add_option("--material", options->material,
+                  "what the cloth is made of, for the fold step: a material file (default: Gray Interlock)");
+  app->add_option("--held", options->held,
+                  "coarse vertices that the cloth is held at, for the fold step: indices with commas")
+      ->delimiter(',');
   app->add_option(
       "--obstacle", options->obstacles,
       "sphere:X,Y,Z,RADIUS, capsule:X,Y,Z,X,Y,Z,RADIUS, MESH.obj, or MESH.obj@FRAMES if it moves; may be repeated");

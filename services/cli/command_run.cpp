@@ -24,7 +24,7 @@ using Clock = std::chrono::steady_clock;
 constexpr std::chrono::seconds kCancelPatience{20};
 
 struct RunOptions {
-  std::string scene, out, model, coordinator;
+  std::string scene, out, model, detail, coordinator;
   std::uint32_t frames = 0;
   bool reference = false;
   bool untangle = false;
@@ -71,17 +71,20 @@ class Run {
   explicit Run(const RunOptions& options) : options_(options), out_(options.out) {}
 
   int operator()() {
+    const v1::Detail detail = choose_detail(options_.detail, options_.model);
     v1::Scene scene = presentation::read_scene_file(options_.scene);
     if (options_.untangle) scene.set_untangle(true);
     const bool local = options_.coordinator.empty();
     ModelChoice model{options_.model, {}};
-    if (local) model = choose_model(options_.model);
+    if (local && uses_network(detail)) model = choose_model(options_.model);
     make_output_folder(out_);
 
     if (local) {
       LauncherOptions launch;
       launch.models = model.folder;
       launch.model = model.name;
+      launch.network = uses_network(detail);
+      launch.fold = uses_fold(detail);
       work_.emplace(out_, kWorkPrefix);
       launch.data = work_->path();
       launch.logs = out_ / "logs";
@@ -96,9 +99,11 @@ class Run {
     request.set_model(model.name);
     request.set_frames(options_.frames);
     request.set_reference(options_.reference);
+    // Without the option another coordinator takes its own default.
+    request.set_detail(local ? detail : detail_named(options_.detail));
     const std::uint32_t frames = options_.frames > 0 ? options_.frames : scene.frames();
     const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
-    RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, scene_json(scene), {}});
+    RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, scene_json(scene), {}, detail});
     *request.mutable_scene() = std::move(scene);
 
     v1::Job job = client_->create_job(request);
@@ -193,6 +198,9 @@ class Run {
     summary.device = job.summary().device();
     summary.precision = job.summary().precision();
     summary.wall_s = job.summary().wall_s();
+    // An older coordinator says nothing, and has a network.
+    const v1::Detail detail = job.summary().detail();
+    summary.extra["detail"] = name_of(detail == v1::DETAIL_UNSPECIFIED ? v1::DETAIL_NETWORK : detail);
     summary.extra["frame_errors"] = job.summary().frame_errors();
     write_reports(out_, std::move(summary));
     return kExitDone;
@@ -215,6 +223,7 @@ std::vector<Command> add_run(CLI::App& root) {
   app->add_option("--frames", options->frames, "frames to make (default: the scene's)")->check(positive_number());
   app->add_option("--model", options->model,
                   "model bundle: a file, or a name in deploy/models (default: the service's)");
+  add_detail_option(*app, options->detail);
   app->add_option("--coordinator", options->coordinator,
                   "address of a running coordinator (default: start all services for this run)");
   app->add_flag("--reference,!--no-reference", options->reference,

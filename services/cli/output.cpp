@@ -58,6 +58,13 @@ void write_reports(const fs::path& folder, presentation::ReportSummary summary) 
   std::fflush(stdout);
 }
 
+v1::Detail choose_detail(const std::string& text, const std::string& model) {
+  const v1::Detail detail = checked_detail(detail_named(text), model, "--detail");
+  if (!uses_network(detail) && !model.empty())
+    throw_invalid_argument("--model " + model + ": --detail " + std::string(name_of(detail)) + " uses no bundle");
+  return detail;
+}
+
 ModelChoice choose_model(const std::string& text) {
   ModelChoice choice;
   std::error_code ignored;

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <string>
 
+#include "common/frame/detail.hpp"
 #include "services/presentation/report/report.hpp"
 
 namespace pleat::cli {
@@ -20,6 +21,8 @@ struct ModelChoice {
   std::string name;
   std::filesystem::path folder;  ///< empty: the default folder
 };
+/// What --detail says, checked. Throws kInvalidArgument if a bundle is named and none is used.
+v1::Detail choose_detail(const std::string& text, const std::string& model);
 /// Throws kNotFound if the bundle (or, with an empty text, any bundle) is not there; the file is named.
 ModelChoice choose_model(const std::string& text);
 

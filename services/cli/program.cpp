@@ -1,5 +1,6 @@
 #include "common/base/machine.hpp"
 #include "common/base/signals.hpp"
+#include "common/frame/detail.hpp"
 #include "services/cli/command.hpp"
 
 namespace pleat::cli {
@@ -25,6 +26,14 @@ void add_tls_options(CLI::App& app, rpc::TlsOptions& tls) {
   group->add_option("--tls-key", tls.key_file, "its key, PEM file")->envname("PLEAT_TLS_KEY");
   group->add_option("--tls-server-name", tls.server_name, "name in the server's certificate, if it is not the address")
       ->envname("PLEAT_TLS_SERVER_NAME");
+}
+
+void add_detail_option(CLI::App& app, std::string& detail) {
+  app.add_option(
+         "--detail", detail,
+         "what makes the wrinkles: a network, the fold step (no bundle), or both (default: network with --model, "
+         "else fold)")
+      ->check(CLI::IsMember({"network", "fold", "both"}));
 }
 
 int run_pleat(int argc, const char* const* argv) {

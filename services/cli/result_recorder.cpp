@@ -9,21 +9,18 @@ namespace pleat::cli {
 
 namespace {
 
-/// Of a file whose first frame failed before it had stages.
-const std::vector<std::string> kUsualStages = {"to_image", "superres", "to_mesh", "refinement"};
-
 /// Parts of a stage ("simulation.contact") are in their stage already.
-std::vector<std::string> stages_of(const client::EnhancedFrame& frame) {
+std::vector<std::string> stages_of(const client::EnhancedFrame& frame, v1::Detail detail) {
   std::vector<std::string> stages;
   for (const client::StageTime& time : frame.stage_times)
     if (time.stage.find('.') == std::string::npos) stages.push_back(time.stage);
-  return stages.empty() ? kUsualStages : stages;
+  return stages.empty() ? stage_names(detail) : stages;
 }
 
 }  // namespace
 
 void ResultRecorder::open(const client::EnhancedFrame& first, const std::vector<ObstacleFrame>& obstacles) {
-  stages_ = stages_of(first);
+  stages_ = stages_of(first, options_.detail);
   ResultOptions file;
   file.topology = options_.topology;
   file.frames = options_.frames;
@@ -34,6 +31,8 @@ void ResultRecorder::open(const client::EnhancedFrame& first, const std::vector<
   for (const ObstacleFrame& obstacle : obstacles) file.obstacle_vertices.push_back(obstacle.positions.rows());
   file.stages = stages_;
   file.counts = {"penetrations", "self_intersections", "frame_errors"};
+  folds_ = std::find(stages_.begin(), stages_.end(), "fold") != stages_.end();
+  if (folds_) file.counts.insert(file.counts.end(), {"fold_steps", "fold_restarts"});
   writer_.emplace(options_.path, file);
 }
 
@@ -55,6 +54,10 @@ void ResultRecorder::add(const client::EnhancedFrame& frame, Positions coarse, s
       out.stages_ms[static_cast<std::size_t>(found - stages_.begin())] += static_cast<float>(time.ms);
   }
   out.counts = {frame.report.penetrations_after, frame.report.self_intersections_after, frame.error ? 1u : 0u};
+  if (folds_) {
+    const client::FoldReport fold = frame.fold.value_or(client::FoldReport());
+    out.counts.insert(out.counts.end(), {fold.steps, fold.restarted ? 1u : 0u});
+  }
   writer_->append(out);
   penetrations_ += out.counts[0];
   self_intersections_ += out.counts[1];

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/client/cpp/values.hpp"
+#include "common/frame/detail.hpp"
 #include "common/frame/frame.hpp"
 #include "common/store/result.hpp"
 
@@ -22,6 +23,7 @@ struct RecordingOptions {
   std::string model;
   std::string scene;  ///< JSON, may be empty
   std::vector<ObstacleShape> obstacles;
+  v1::Detail detail = v1::DETAIL_NETWORK;  ///< asked for, checked
 };
 
 /// Frames must come in order from 0, as streams deliver them. Not thread-safe.
@@ -29,8 +31,8 @@ class ResultRecorder {
  public:
   explicit ResultRecorder(RecordingOptions options) : options_(std::move(options)) {}
 
-  /// The stages of the first frame become those of the file. A frame with an error is one of `frame_errors`, and needs
-  /// positions all the same. Throws kInternal (order), kResourceExhausted (disk).
+  /// The stages of the first frame become those of the file, if it has any. A frame with an error is one of
+  /// `frame_errors`, and needs positions all the same. Throws kInternal (order), kResourceExhausted (disk).
   void add(const client::EnhancedFrame& frame, Positions coarse, std::vector<ObstacleFrame> obstacles);
   /// Ends with what there is: result.h5.partial becomes result.h5. Throws kFailedPrecondition without a frame.
   void finish();
@@ -46,6 +48,7 @@ class ResultRecorder {
   RecordingOptions options_;
   std::optional<ResultWriter> writer_;
   std::vector<std::string> stages_;
+  bool folds_ = false;  ///< the fold step is among them
   std::uint64_t frames_ = 0, penetrations_ = 0, self_intersections_ = 0, frame_errors_ = 0;
 };
 

@@ -74,6 +74,7 @@ std::string to_json(const JobRecord& record) {
                                     {"reference", record.reference},
                                     {"reference_frames_complete", record.reference_frames_complete},
                                     {"error", record.error},
+                                    {"detail", record.detail},
                                     {"model", record.model},
                                     {"device", record.device},
                                     {"precision", record.precision},
@@ -104,6 +105,7 @@ JobRecord job_from_json(const std::string& text, const std::string& origin) {
     json.at("reference").get_to(record.reference);
     json.at("reference_frames_complete").get_to(record.reference_frames_complete);
     json.at("error").get_to(record.error);
+    record.detail = json.value("detail", "network");  // older records have none
     json.at("model").get_to(record.model);
     json.at("device").get_to(record.device);
     json.at("precision").get_to(record.precision);

@@ -29,8 +29,9 @@ struct JobRecord {
   std::uint32_t frames_complete = 0;
   bool reference = false;  ///< a tracked fine simulation was asked for
   std::uint32_t reference_frames_complete = 0;
-  std::string error;  ///< one line, where failed
-  std::string model;
+  std::string error;   ///< one line, where failed
+  std::string detail;  ///< "network", "fold" or "both"
+  std::string model;   ///< empty with "fold"
   std::string device;
   std::string precision;
   std::uint32_t coarse_vertices = 0;

@@ -10,6 +10,7 @@
 #include "common/frame/representation_messages.hpp"
 #include "common/frame/scene_json.hpp"
 #include "common/telemetry/stage_timer.hpp"
+#include "services/coordinator/fold_stage.hpp"
 #include "services/coordinator/job_runner.hpp"
 #include "services/coordinator/recorder.hpp"
 #include "services/coordinator/result_events.hpp"
@@ -76,6 +77,7 @@ std::optional<v1::ModelDescription> load_bundle(const fs::path& file, const fs::
 struct StartedSimulation {
   std::unique_ptr<SimulationSource> source;
   v1::SimulateOpened opened;
+  std::shared_ptr<const FoldMemory> fold;  ///< of the check-point
 };
 
 StartedSimulation start_simulation(ActiveJob& job, SimulationSource::Options options, const fs::path& file,
@@ -92,6 +94,7 @@ StartedSimulation start_simulation(ActiveJob& job, SimulationSource::Options opt
     options.checkpoint = checkpoint->state;
     try {
       auto started = start();
+      started.fold = checkpoint->fold;
       if (started.opened.next_index() <= wanted) return started;
     } catch (const Error& e) {
       // A check-point of another build of the service costs time, not the job.
@@ -109,14 +112,20 @@ class PendingCheckpoints {
 
   void add(std::uint64_t index, std::string state) {
     const std::lock_guard lock(mutex_);
-    pending_[index] = std::move(state);
+    pending_[index] = {index, std::move(state)};
+  }
+  /// What the fold step left, before its frame is stored.
+  void add_fold(const std::shared_ptr<const FoldMemory>& memory) {
+    const std::lock_guard lock(mutex_);
+    if (memory == nullptr) return;
+    if (const auto found = pending_.find(memory->sequence); found != pending_.end()) found->second.fold = memory;
   }
   void frames_are_stored(std::uint64_t frames) {
     std::optional<Checkpoint> newest;
     {
       const std::lock_guard lock(mutex_);
       while (!pending_.empty() && pending_.begin()->first < frames) {
-        newest = Checkpoint{pending_.begin()->first, std::move(pending_.begin()->second)};
+        newest = std::move(pending_.begin()->second);
         pending_.erase(pending_.begin());
       }
     }
@@ -126,7 +135,7 @@ class PendingCheckpoints {
  private:
   const fs::path file_;
   std::mutex mutex_;
-  std::map<std::uint64_t, std::string> pending_;
+  std::map<std::uint64_t, Checkpoint> pending_;
 };
 
 }  // namespace
@@ -141,11 +150,16 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
 
   PipelineSession session;
   // The service's default bundle may be another one by now.
-  const auto bundle = load_bundle(folder / "bundle.pb", partial);
-  session.model = describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
-                                 [&] { return job.cause().has_value(); });
+  session.detail = checked_detail(request.detail(), request.model(), "detail");
+  const bool network = uses_network(session.detail), fold = uses_fold(session.detail);
+  const auto bundle = network ? load_bundle(folder / "bundle.pb", partial) : std::nullopt;
   session.window = settings_.window;
-  session.representation = representation_of(session.model);
+  session.model = network ? describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
+                                           [&] { return job.cause().has_value(); })
+                          : without_model();
+  if (network) session.representation = representation_of(session.model);
+  if (fold) session.fold = fold_open_of(scene);
+  session.fold_turn = table_.get(job.id).order;
   if (scene.has_subdivision_rounds()) session.representation.set_subdivision_rounds(scene.subdivision_rounds());
   // A scene cannot ask for the middle where a bundle has Loop's rule: that is what it says when it says nothing.
   if (scene.subdivision_rule() != v1::SUBDIVISION_RULE_MIDPOINT) {
@@ -159,11 +173,17 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
                                        .checkpoint = {},
                                        .link = link_};
   auto started = start_simulation(job, simulation, folder / "checkpoint.bin", frames_on_disk(partial));
+  const auto start_anew = [&] { started = start_simulation(job, simulation, {}, 0); };
+  // The fold step goes on from what it left, and that is kept at check-points alone: the frames behind it are made
+  // again, and have the bits that are on disk.
+  if (fold && started.opened.next_index() > 0 && !started.fold) start_anew();
   session.coarse = started.opened.coarse();
   session.obstacles = started.opened.obstacles();
   const Topology coarse = from_message(session.coarse, "the simulation's coarse mesh");
   session.coarse.set_hash(topology_hash(coarse));
-  session.conversion = describe_conversion(addresses_, link_, session, [&] { return job.cause().has_value(); });
+  if (network) {
+    session.conversion = describe_conversion(addresses_, link_, session, [&] { return job.cause().has_value(); });
+  }
   const Subdivision subdivision = subdivision_of(session, coarse);
   const auto fine_vertices = static_cast<std::size_t>(subdivision.fine.vertex_count());
 
@@ -175,8 +195,9 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   options.scene = scene_json(scene);
   for (const auto& shape : session.obstacles) options.obstacles.push_back(from_message(shape));
   options.obstacle_vertices = obstacle_vertices(scene, session.obstacles);
-  options.stages = kJobStages;
-  options.counts = kJobCounts;
+  const JobColumns columns = job_columns(session.detail);
+  options.stages = columns.stages;
+  options.counts = columns.counts;
   options.deflate = settings_.compress && !request.reference();
 
   // A simulation that is begun again says the same again.
@@ -208,17 +229,19 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
     });
   };
   const Counts before = counts_of(partial);
-  auto earlier =
-      earlier_frames(partial, frames_on_disk(partial), session.representation.window(), options.frame_time_s);
+  std::uint64_t begin = fold ? started.opened.next_index() : frames_on_disk(partial);
+  auto earlier = earlier_frames(partial, begin, session.representation.window(), options.frame_time_s);
   Recorder recorder(result, options, subdivision, settings_.window,
                     {.stored = stored, .failed = [&](const Error& cause) { job.abort(cause); }});
   const std::uint64_t first = recorder.first_index();
-  if (first == 0) earlier.clear();  // the file could not be continued
-  if (started.opened.next_index() > first) {
-    // The file could not be continued, and the check-point lies beyond it.
-    started = start_simulation(job, simulation, {}, 0);
+  if (begin > first || first == 0) {
+    // The file could not be continued.
+    begin = first;
+    earlier.clear();
   }
+  if (started.opened.next_index() > begin) start_anew();  // the check-point lies beyond it
   table_.update(job.id, [&](JobRecord& record) {
+    record.detail = name_of(session.detail);
     record.model = session.model.model();
     record.device = session.model.device();
     record.precision = session.model.precision();
@@ -233,17 +256,23 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   job.feed.set_opened(make_opened_event(options.topology, options.obstacles));
 
   SimulationSource& source = *started.source;
-  session.first_sequence = first;
+  session.first_sequence = begin;
+  session.fold_memory = started.fold;
   session.earlier = std::move(earlier);
   try {
     if (bundle && first > 0) {
       require_same_bundle(*bundle, session.model);
-    } else {
+    } else if (network) {
       write_whole_file(folder / "bundle.pb", session.model.SerializeAsString());
     }
     EnhancementPipeline pipeline(
         addresses_, link_, session, fine_vertices, topology_hash(subdivision.fine),
-        [&](std::unique_ptr<PipelineFrame> frame) { recorder.add(std::move(frame)); }, [&] { source.cancel(); });
+        [&](std::unique_ptr<PipelineFrame> frame) {
+          checkpoints.add_fold(frame->fold_memory);
+          frame->fold_memory.reset();
+          if (frame->index >= first) recorder.add(std::move(frame));
+        },
+        [&] { source.cancel(); });
     const ActiveJob::Interrupt interrupt(job, [&](const Error& cause) { pipeline.fail(cause); });
     try {
       if (first < scene.frames()) {
@@ -251,7 +280,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
           const std::uint64_t index = simulated.coarse().index();
           keep_warnings(simulated);
           if (!simulated.checkpoint().empty()) checkpoints.add(index, std::move(*simulated.mutable_checkpoint()));
-          if (index < first) return true;
+          if (index < begin) return true;
           auto frame = std::make_unique<PipelineFrame>();
           frame->sequence = frame->index = index;
           frame->coarse.Swap(simulated.mutable_coarse());

@@ -15,7 +15,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char kCheckpointMagic[8] = {'P', 'L', 'E', 'A', 'T', 'C', 'P', '1'};
+constexpr char kCheckpointMagic[8] = {'P', 'L', 'E', 'A', 'T', 'C', 'P', '2'};
 constexpr auto kCancelWait = std::chrono::seconds(5);
 
 }  // namespace
@@ -28,8 +28,11 @@ std::optional<fs::path> result_file(const fs::path& job_folder) {
 }
 
 void save_checkpoint(const fs::path& path, const Checkpoint& checkpoint) {
+  const std::string fold = checkpoint.fold ? checkpoint.fold->state.SerializeAsString() : std::string();
+  const std::uint64_t header[] = {checkpoint.index, fold.size()};
   std::string content(kCheckpointMagic, sizeof kCheckpointMagic);
-  content.append(reinterpret_cast<const char*>(&checkpoint.index), sizeof checkpoint.index);
+  content.append(reinterpret_cast<const char*>(header), sizeof header);
+  content += fold;
   content += checkpoint.state;
   write_whole_file(path, content);
 }
@@ -37,11 +40,21 @@ void save_checkpoint(const fs::path& path, const Checkpoint& checkpoint) {
 std::optional<Checkpoint> load_checkpoint(const fs::path& path) {
   const auto content = path.empty() ? std::nullopt : read_file(path);
   Checkpoint checkpoint;
-  constexpr std::size_t kHeader = sizeof kCheckpointMagic + sizeof checkpoint.index;
+  std::uint64_t header[2] = {};
+  constexpr std::size_t kHeader = sizeof kCheckpointMagic + sizeof header;
   if (!content || content->size() <= kHeader) return std::nullopt;
   if (std::memcmp(content->data(), kCheckpointMagic, sizeof kCheckpointMagic) != 0) return std::nullopt;
-  std::memcpy(&checkpoint.index, content->data() + sizeof kCheckpointMagic, sizeof checkpoint.index);
-  checkpoint.state = content->substr(kHeader);
+  std::memcpy(header, content->data() + sizeof kCheckpointMagic, sizeof header);
+  const std::uint64_t fold_size = header[1];
+  checkpoint.index = header[0];
+  if (fold_size >= content->size() - kHeader) return std::nullopt;
+  if (fold_size > 0) {
+    auto memory = std::make_shared<FoldMemory>();
+    memory->sequence = checkpoint.index;
+    if (!memory->state.ParseFromString(content->substr(kHeader, fold_size))) return std::nullopt;
+    checkpoint.fold = std::move(memory);
+  }
+  checkpoint.state = content->substr(kHeader + fold_size);
   return checkpoint;
 }
 
@@ -73,6 +86,8 @@ JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
   }
   if (request.frames() != 0) scene.set_frames(request.frames());
   if (scene.frames() == 0) throw_invalid_argument("scene.frames: is 0");
+  // The job stays what it is, whatever the default becomes.
+  complete.set_detail(checked_detail(request.detail(), request.model(), "detail"));
   if (scene.frames() > settings_.max_frames) {
     throw Error(ErrorCode::kResourceExhausted, "scene.frames: " + std::to_string(scene.frames()) + ", the limit is " +
                                                    std::to_string(settings_.max_frames));
@@ -87,7 +102,8 @@ JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
   const bool known = !job.id.empty() && table_.contains(job.id);
   if (!known) {
     const auto never = [] { return false; };
-    const v1::ModelDescription model = describe_model(addresses_, link_, request.model(), never);
+    const v1::ModelDescription model =
+        uses_network(complete.detail()) ? describe_model(addresses_, link_, request.model(), never) : without_model();
     SimulationSource source({.addresses = addresses_.simulation, .scene = scene, .checkpoint = {}, .link = link_});
     const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
     v1::Representation representation = representation_of(model);

@@ -71,10 +71,12 @@ class JobRunner {
 /// The file where the job's frames are: complete, partial, or nothing yet.
 std::optional<std::filesystem::path> result_file(const std::filesystem::path& job_folder);
 
-/// A check-point of a simulation in a file, with the index of the frame that it was made after.
+/// A check-point of a simulation in a file, with the index of the frame that it was made after, and what the fold step
+/// left there (null where it is not in use, or did not make the frame).
 struct Checkpoint {
   std::uint64_t index = 0;
   std::string state;
+  std::shared_ptr<const FoldMemory> fold = {};
 };
 void save_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
 /// Nothing if there is no usable one.

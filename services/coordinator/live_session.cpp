@@ -11,6 +11,7 @@
 
 #include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
+#include "services/coordinator/fold_stage.hpp"
 #include "services/coordinator/velocity_filler.hpp"
 
 namespace pleat::coordinator {
@@ -51,8 +52,9 @@ std::string fault_of(const v1::Frame& frame, Eigen::Index vertices) {
 
 class LiveSessions::Session : public std::enable_shared_from_this<Session> {
  public:
-  Session(const LiveSessions& owner, grpc::CallbackServerContext* context)
-      : owner_(owner), reactor_(Reactor::make(context)) {}
+  /// turn: which of several fold services it asks first.
+  Session(const LiveSessions& owner, grpc::CallbackServerContext* context, std::size_t turn)
+      : owner_(owner), turn_(turn), reactor_(Reactor::make(context)) {}
 
   Reactor* reactor() const { return reactor_.get(); }
 
@@ -103,13 +105,22 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     PipelineSession session;
     session.coarse = open.coarse();
     session.coarse.set_hash(topology_hash(coarse));
-    session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
-    session.representation = representation_of(session.model);
+    session.detail = checked_detail(open.detail(), open.model(), "open.detail");
+    if (uses_network(session.detail)) {
+      session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
+      session.representation = representation_of(session.model);
+    } else {
+      session.model = without_model();
+    }
+    if (uses_fold(session.detail)) session.fold = fold_open_of(open);
+    session.fold_turn = turn_;
     if (open.has_subdivision_rounds()) session.representation.set_subdivision_rounds(open.subdivision_rounds());
     if (open.has_subdivision_rule()) session.representation.set_subdivision_rule(open.subdivision_rule());
     admit(coarse_vertices_, subdivision_from(session.representation).rounds, owner_.settings_.max_vertices,
           "open.coarse");
-    session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
+    if (uses_network(session.detail)) {
+      session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
+    }
     session.obstacles = open.obstacles();
     if (open.has_clearance_m()) session.clearance_m = open.clearance_m();
     session.skip_refinement = open.skip_refinement();
@@ -123,7 +134,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     const Attachment attachment(*this, pipeline);
     pipeline.wait_open();
     write_opened(subdivision, session);
-    take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime);
+    take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime, uses_fold(session.detail));
     pipeline.close();
     pipeline.wait();
     if (silent_) fail_slow("sent no frame", owner_.settings_.idle_timeout_s);
@@ -140,6 +151,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     opened.set_device(session.model.device());
     opened.set_precision(session.model.precision());
     opened.set_window(window_);
+    opened.set_detail(session.detail);
     reactor_->write(response, milliseconds(owner_.settings_.reader_timeout_s));
   }
 
@@ -150,8 +162,9 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     throw Error(ErrorCode::kDeadlineExceeded, "the client " + what + " for " + in_words(milliseconds(seconds)));
   }
 
-  /// Reads until the client has no more. At most `window` frames are unanswered.
-  void take_frames(EnhancementPipeline& pipeline, double frame_time_s) {
+  /// Reads until the client has no more. At most `window` frames are unanswered. differences: the velocities are
+  /// backward differences, whatever the client says.
+  void take_frames(EnhancementPipeline& pipeline, double frame_time_s, bool differences) {
     VelocityFiller velocities(frame_time_s);
     for (std::uint64_t sequence = 0; wait_for_room(); ++sequence) {
       const v1::EnhanceRequest* request = reactor_->read(milliseconds(owner_.settings_.idle_timeout_s));
@@ -174,7 +187,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
       } else {
         const auto& positions = frame->coarse.positions();
         const auto filled = velocities.fill(frame->index, positions.data(), static_cast<std::size_t>(positions.size()));
-        if (frame->coarse.velocities().empty())
+        if (differences || frame->coarse.velocities().empty())
           frame->coarse.mutable_velocities()->Assign(filled.begin(), filled.end());
       }
       if (!pipeline.push(std::move(frame))) return;
@@ -199,6 +212,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
       enhanced.mutable_fine()->set_index(frame.index);
       enhanced.mutable_fine()->set_time_s(frame.coarse.time_s());
       enhanced.mutable_report()->Swap(&frame.report);
+      if (frame.fold.steps() > 0) enhanced.mutable_fold()->Swap(&frame.fold);
       enhanced.mutable_stage_times()->Swap(&frame.stage_times);
     }
     const bool written = reactor_->write(response, milliseconds(owner_.settings_.reader_timeout_s));
@@ -264,6 +278,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
   };
 
   const LiveSessions& owner_;
+  const std::size_t turn_;
   std::shared_ptr<Reactor> reactor_;
   std::uint32_t window_ = rpc::kDefaultWindow;
   Eigen::Index coarse_vertices_ = 0;
@@ -295,7 +310,7 @@ LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context)
                                        "there are " + std::to_string(sessions_.size()) + " live sessions already"));
     return refused.get();
   }
-  auto session = std::make_shared<Session>(*this, context);
+  auto session = std::make_shared<Session>(*this, context, started_++);
   sessions_.insert(session);
   Reactor* reactor = session->reactor();
   try {

@@ -44,6 +44,7 @@ class LiveSessions {
   std::mutex mutex_;
   std::condition_variable changed_;
   std::set<std::shared_ptr<Session>> sessions_;
+  std::size_t started_ = 0;
   bool draining_ = false;
 };
 

@@ -18,6 +18,7 @@ int run(int argc, char** argv) {
   options.add("simulation", coordinator.simulation, "address of the simulation service, or several with commas")
       .add("conversion", coordinator.conversion, "addresses of the conversion service")
       .add("superres", coordinator.superres, "addresses of the super-resolution service")
+      .add("fold", coordinator.fold, "addresses of the fold service")
       .add("refinement", coordinator.refinement, "addresses of the refinement service")
       .add("service-tls-ca", coordinator.service_tls.ca_file, "PEM file, for services on other hosts")
       .add("service-tls-certificate", coordinator.service_tls.certificate_file, "PEM file")

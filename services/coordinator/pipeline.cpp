@@ -1,10 +1,6 @@
 #include "services/coordinator/pipeline.hpp"
 
-#include <google/protobuf/util/message_differencer.h>
-
 #include <algorithm>
-#include <cmath>
-#include <tuple>
 #include <utility>
 
 #include "common/frame/representation_messages.hpp"
@@ -12,27 +8,16 @@
 #include "pleat/v1/conversion.grpc.pb.h"
 #include "pleat/v1/refinement.grpc.pb.h"
 #include "pleat/v1/superres.grpc.pb.h"
+#include "services/coordinator/fold_stage.hpp"
 
 namespace pleat::coordinator {
 namespace {
-
-enum StageIndex : std::size_t { kToImage, kSuperres, kToMesh, kRefinement };
-
-void add_times(PipelineFrame& frame, StageTimes& times) {
-  for (v1::StageTime& time : times) frame.stage_times.Add(std::move(time));
-  times.Clear();
-}
-
-/// The request of a stage that has answered or was given up: it is sent by nobody, and gives back what it was lent.
-template <typename Request>
-Request& sent(PipelineFrame& frame) {
-  return const_cast<Request&>(static_cast<const Request&>(*frame.work));
-}
 
 struct ToImageRpc {
   using Service = v1::Conversion;
   using Request = v1::ToImageRequest;
   using Response = v1::ToImageResponse;
+  static constexpr bool kFineMesh = false;
   static void start(Service::Stub& stub, grpc::ClientContext* context,
                     grpc::ClientBidiReactor<Request, Response>* call) {
     stub.async()->ToImage(context, call);
@@ -60,6 +45,7 @@ struct UpscaleRpc {
   using Service = v1::SuperResolution;
   using Request = v1::UpscaleRequest;
   using Response = v1::UpscaleResponse;
+  static constexpr bool kFineMesh = false;
   static void start(Service::Stub& stub, grpc::ClientContext* context,
                     grpc::ClientBidiReactor<Request, Response>* call) {
     stub.async()->Upscale(context, call);
@@ -80,6 +66,7 @@ struct ToMeshRpc {
   using Service = v1::Conversion;
   using Request = v1::ToMeshRequest;
   using Response = v1::ToMeshResponse;
+  static constexpr bool kFineMesh = true;
   static void start(Service::Stub& stub, grpc::ClientContext* context,
                     grpc::ClientBidiReactor<Request, Response>* call) {
     stub.async()->ToMesh(context, call);
@@ -108,6 +95,7 @@ struct RefineRpc {
   using Service = v1::Refinement;
   using Request = v1::RefineRequest;
   using Response = v1::RefineResponse;
+  static constexpr bool kFineMesh = true;
   static void start(Service::Stub& stub, grpc::ClientContext* context,
                     grpc::ClientBidiReactor<Request, Response>* call) {
     stub.async()->Refine(context, call);
@@ -136,116 +124,69 @@ struct RefineRpc {
   }
 };
 
-v1::ConversionSetup conversion_setup(const PipelineSession& session) {
-  v1::ConversionSetup setup;
-  *setup.mutable_coarse() = session.coarse;
-  *setup.mutable_representation() = session.representation;
-  return setup;
+RemoteStage<ToImageRpc>::Options to_image_options(const ServiceAddresses& addresses, const LinkOptions& link,
+                                                  const PipelineSession& session) {
+  RemoteStage<ToImageRpc>::Options options{
+      .stage = "to_image", .service = "conversion", .addresses = addresses.conversion, .open = {}, .link = link};
+  *options.open.mutable_open()->mutable_setup() = conversion_setup(session);
+  options.open.mutable_open()->set_dtype(session.conversion.dtype());
+  return options;
 }
 
-/// Calls one of the addresses after the other until one answers, or the outage is too long.
-template <typename Response, typename Call>
-Response ask(const std::string& service, const std::vector<std::string>& addresses, const LinkOptions& link,
-             const std::function<bool()>& cancelled, const Call& call) {
-  Outage outage(link.give_up);
-  Backoff backoff(std::chrono::milliseconds(50), std::chrono::milliseconds(400));
-  for (std::size_t attempt = 0;; ++attempt) {
-    const std::string& address = addresses[attempt % addresses.size()];
-    Response response;
-    grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + std::min(link.open_timeout, link.give_up));
-    const grpc::Status status = call(link.connect(address), &context, &response);
-    if (status.ok()) return response;
-    const Error error = rpc::to_error(status, service + " at " + address);
-    if (!may_pass(error.code())) throw error;
-    if (outage.too_long()) throw outage.gave_up(error);
-    if (cancelled()) throw Error(ErrorCode::kCancelled, "cancelled");
-    std::this_thread::sleep_for(backoff.next());
-  }
+RemoteStage<UpscaleRpc>::Options upscale_options(const ServiceAddresses& addresses, const LinkOptions& link,
+                                                 const PipelineSession& session) {
+  RemoteStage<UpscaleRpc>::Options options{
+      .stage = "superres", .service = "superres", .addresses = addresses.superres, .open = {}, .link = link};
+  v1::UpscaleOpen& open = *options.open.mutable_open();
+  open.set_model(session.model.model());
+  open.set_topology_hash(session.coarse.hash());
+  open.set_displacement_only(true);
+  open.set_dtype(session.conversion.dtype());
+  if (session.conversion.has_constants()) *open.mutable_constants() = session.conversion.constants();
+  return options;
 }
 
-void check_fine_hash(const std::string& hash, const std::string& expected) {
-  if (!hash.empty() && hash != expected) {
-    throw_internal("subdivides the coarse mesh in another way: " + hash + ", expected " + expected);
-  }
+RemoteStage<ToMeshRpc>::Options to_mesh_options(const ServiceAddresses& addresses, const LinkOptions& link,
+                                                const PipelineSession& session) {
+  RemoteStage<ToMeshRpc>::Options options{
+      .stage = "to_mesh", .service = "conversion", .addresses = addresses.conversion, .open = {}, .link = link};
+  *options.open.mutable_open()->mutable_setup() = conversion_setup(session);
+  return options;
 }
 
-/// What a bundle has another one of; empty if both make the same frames.
-std::string difference(const v1::ModelDescription& before, const v1::ModelDescription& now) {
-  using google::protobuf::util::MessageDifferencer;
-  const auto image = [](const v1::ModelDescription& model) {
-    return std::tuple(model.coarse_width(), model.coarse_height(), model.scale());
-  };
-  if (!MessageDifferencer::Equals(now.normalization(), before.normalization())) return "normalisation";
-  if (!MessageDifferencer::Equals(now.representation(), before.representation())) return "representation";
-  if (image(now) != image(before)) return "image size";
-  if (!std::equal(now.channels().begin(), now.channels().end(), before.channels().begin(), before.channels().end())) {
-    return "list of channels";
+/// Mesh and obstacles, as the services have them that know both meshes.
+template <typename Open>
+void set_meshes(const PipelineSession& session, Open* open) {
+  *open->mutable_coarse() = session.coarse;
+  if (session.representation.has_subdivision_rounds()) {
+    open->set_subdivision_rounds(session.representation.subdivision_rounds());
   }
-  if (now.topology_hash() != before.topology_hash()) return "mesh";
-  if (now.architecture() != before.architecture() || now.parameters() != before.parameters()) return "architecture";
-  if (now.metadata_json() != before.metadata_json() || now.git_revision() != before.git_revision()) return "training";
-  return {};
+  open->set_subdivision_rule(session.representation.subdivision_rule());
+  *open->mutable_obstacles() = session.obstacles;
+  if (session.clearance_m) open->set_clearance_m(*session.clearance_m);
+}
+
+RemoteStage<FoldRpc>::Options fold_options(const ServiceAddresses& addresses, const LinkOptions& link,
+                                           const PipelineSession& session) {
+  RemoteStage<FoldRpc>::Options options{
+      .stage = "fold", .service = "fold", .addresses = addresses.fold, .open = {}, .link = link};
+  const auto turn = static_cast<std::ptrdiff_t>(session.fold_turn % options.addresses.size());
+  std::rotate(options.addresses.begin(), options.addresses.begin() + turn, options.addresses.end());
+  *options.open.mutable_open() = session.fold;
+  set_meshes(session, options.open.mutable_open());
+  options.memory = session.fold_memory;
+  return options;
+}
+
+RemoteStage<RefineRpc>::Options refine_options(const ServiceAddresses& addresses, const LinkOptions& link,
+                                               const PipelineSession& session) {
+  RemoteStage<RefineRpc>::Options options{
+      .stage = "refinement", .service = "refinement", .addresses = addresses.refinement, .open = {}, .link = link};
+  set_meshes(session, options.open.mutable_open());
+  return options;
 }
 
 }  // namespace
-
-std::vector<std::string> split_addresses(const std::string& service, const std::string& list) {
-  std::vector<std::string> addresses;
-  std::size_t begin = 0;
-  while (begin <= list.size()) {
-    const std::size_t end = std::min(list.find(',', begin), list.size());
-    if (end > begin) addresses.push_back(list.substr(begin, end - begin));
-    begin = end + 1;
-  }
-  if (addresses.empty()) throw_invalid_argument("--" + service + ": no address");
-  return addresses;
-}
-
-void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what) {
-  if (rounds > kMaxSubdivisionRounds) {
-    throw_invalid_argument(what + ": " + std::to_string(rounds) + " subdivisions, at most " +
-                           std::to_string(kMaxSubdivisionRounds));
-  }
-  const double fine = static_cast<double>(coarse_vertices) * std::pow(4.0, rounds);
-  if (fine <= static_cast<double>(max_vertices)) return;
-  throw Error(ErrorCode::kResourceExhausted,
-              what + ": " + std::to_string(coarse_vertices) + " vertices, subdivided " + std::to_string(rounds) +
-                  " times about " + std::to_string(static_cast<std::int64_t>(fine)) +
-                  ", more than this coordinator's limit of " + std::to_string(max_vertices));
-}
-
-v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
-                                    const std::function<bool()>& cancelled) {
-  return ask<v1::ModelDescription>(
-      "superres", addresses.superres, link, cancelled, [&](const auto& channel, auto* context, auto* response) {
-        v1::DescribeModelRequest request;
-        request.set_model(name);
-        return v1::SuperResolution::NewStub(channel)->DescribeModel(context, request, response);
-      });
-}
-
-v1::ConversionOpened describe_conversion(const ServiceAddresses& addresses, const LinkOptions& link,
-                                         const PipelineSession& session, const std::function<bool()>& cancelled) {
-  const v1::ConversionSetup setup = conversion_setup(session);
-  return ask<v1::ConversionOpened>("conversion", addresses.conversion, link, cancelled,
-                                   [&](const auto& channel, auto* context, auto* response) {
-                                     return v1::Conversion::NewStub(channel)->Describe(context, setup, response);
-                                   });
-}
-
-Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse) {
-  Subdivision subdivision = subdivide(coarse, subdivision_from(session.representation));
-  check_fine_hash(session.conversion.fine().hash(), topology_hash(subdivision.fine));
-  return subdivision;
-}
-
-void require_same_bundle(const v1::ModelDescription& before, const v1::ModelDescription& now) {
-  const std::string other = difference(before, now);
-  if (other.empty()) return;
-  throw Error(ErrorCode::kFailedPrecondition,
-              "bundle " + before.model() + " was replaced meanwhile by one with another " + other + "; begin anew");
-}
 
 EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, const LinkOptions& link,
                                          const PipelineSession& session, std::size_t fine_vertices,
@@ -254,86 +195,53 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
       failed_(std::move(failed)),
       fine_vertices_(fine_vertices),
       earlier_(session.representation.window()) {
-  const std::size_t count = session.skip_refinement ? kRefinement : kRefinement + 1;
-  stage_opened_.assign(count, false);
-  const auto stage_is_open = [this](std::size_t stage) {
-    const std::lock_guard lock(mutex_);
-    if (stage_opened_[stage]) return;
-    stage_opened_[stage] = true;
-    ++opened_;
-    changed_.notify_all();
-  };
-  const auto make_callbacks = [&](auto rpc, std::size_t stage, auto opened) {
-    using Rpc = decltype(rpc);
-    prepare_.push_back(Rpc::prepare);
-    typename RemoteStage<Rpc>::Callbacks callbacks;
-    callbacks.opened = [stage_is_open, stage, opened](const auto& answer) {
-      opened(answer);
-      stage_is_open(stage);
-    };
-    callbacks.deliver = [this, stage](std::unique_ptr<PipelineFrame> frame) { hand_on(stage, std::move(frame)); };
-    callbacks.drained = [this, stage] { stage_drained(stage); };
-    callbacks.failed = [this](const Error& cause) { fail(cause); };
-    return callbacks;
-  };
-  const auto check_fine = [fine_hash](const std::string& hash) { check_fine_hash(hash, fine_hash); };
   for (const v1::Frame& frame : session.earlier) earlier_.fill(frame);
-  RemoteStage<ToImageRpc>::Options to_image{
-      .stage = "to_image", .service = "conversion", .addresses = addresses.conversion, .open = {}, .link = link};
-  *to_image.open.mutable_open()->mutable_setup() = conversion_setup(session);
-  to_image.open.mutable_open()->set_window(session.window);
-  to_image.open.mutable_open()->set_dtype(session.conversion.dtype());
-  to_image.window = session.window;
-  to_image.first_sequence = session.first_sequence;
-  const auto any = [](const auto&) {};
-  auto to_image_callbacks = make_callbacks(ToImageRpc{}, kToImage, any);
-
-  RemoteStage<UpscaleRpc>::Options upscale{
-      .stage = "superres", .service = "superres", .addresses = addresses.superres, .open = {}, .link = link};
-  upscale.open.mutable_open()->set_model(session.model.model());
-  upscale.open.mutable_open()->set_topology_hash(session.coarse.hash());
-  upscale.open.mutable_open()->set_window(session.window);
-  upscale.open.mutable_open()->set_displacement_only(true);
-  upscale.open.mutable_open()->set_dtype(session.conversion.dtype());
-  if (session.conversion.has_constants()) {
-    *upscale.open.mutable_open()->mutable_constants() = session.conversion.constants();
+  const auto check_fine = [fine_hash](const std::string& hash) { check_fine_hash(hash, fine_hash); };
+  if (uses_network(session.detail)) {
+    add_stage<ToImageRpc>(to_image_options(addresses, link, session), session, [](const auto&) {});
+    // Conversion was set up for the bundle that was described: images of another one would be read wrongly.
+    add_stage<UpscaleRpc>(upscale_options(addresses, link, session), session,
+                          [before = session.model](const auto& opened) { require_same_bundle(before, opened); });
+    add_stage<ToMeshRpc>(to_mesh_options(addresses, link, session), session,
+                         [check_fine](const auto& opened) { check_fine(opened.fine().hash()); });
   }
-  upscale.window = session.window;
-  upscale.first_sequence = session.first_sequence;
-  // Conversion was set up for the bundle that was described: images of another one would be read wrongly.
-  auto upscale_callbacks = make_callbacks(
-      UpscaleRpc{}, kSuperres, [before = session.model](const auto& opened) { require_same_bundle(before, opened); });
-
-  RemoteStage<ToMeshRpc>::Options to_mesh{
-      .stage = "to_mesh", .service = "conversion", .addresses = addresses.conversion, .open = {}, .link = link};
-  *to_mesh.open.mutable_open()->mutable_setup() = conversion_setup(session);
-  to_mesh.open.mutable_open()->set_window(session.window);
-  to_mesh.window = session.window;
-  to_mesh.first_sequence = session.first_sequence;
-  auto to_mesh_callbacks = make_callbacks(
-      ToMeshRpc{}, kToMesh, [check_fine](const v1::ConversionOpened& opened) { check_fine(opened.fine().hash()); });
-  stages_.push_back(std::make_unique<RemoteStage<ToImageRpc>>(std::move(to_image), std::move(to_image_callbacks)));
-  stages_.push_back(std::make_unique<RemoteStage<UpscaleRpc>>(std::move(upscale), std::move(upscale_callbacks)));
-  stages_.push_back(std::make_unique<RemoteStage<ToMeshRpc>>(std::move(to_mesh), std::move(to_mesh_callbacks)));
+  if (uses_fold(session.detail)) {
+    add_stage<FoldRpc>(fold_options(addresses, link, session), session,
+                       [check_fine](const auto& opened) { check_fine(opened.fine_hash()); });
+  }
   if (!session.skip_refinement) {
-    RemoteStage<RefineRpc>::Options refine{
-        .stage = "refinement", .service = "refinement", .addresses = addresses.refinement, .open = {}, .link = link};
-    v1::RefineOpen& open = *refine.open.mutable_open();
-    *open.mutable_coarse() = session.coarse;
-    if (session.representation.has_subdivision_rounds()) {
-      open.set_subdivision_rounds(session.representation.subdivision_rounds());
-    }
-    open.set_subdivision_rule(session.representation.subdivision_rule());
-    *open.mutable_obstacles() = session.obstacles;
-    if (session.clearance_m) open.set_clearance_m(*session.clearance_m);
-    open.set_window(session.window);
-    refine.window = session.window;
-    refine.first_sequence = session.first_sequence;
-    auto callbacks = make_callbacks(RefineRpc{}, kRefinement,
-                                    [check_fine](const v1::RefineOpened& opened) { check_fine(opened.fine_hash()); });
-    stages_.push_back(std::make_unique<RemoteStage<RefineRpc>>(std::move(refine), std::move(callbacks)));
+    add_stage<RefineRpc>(refine_options(addresses, link, session), session,
+                         [check_fine](const auto& opened) { check_fine(opened.fine_hash()); });
   }
+  stage_opened_.assign(stages_.size(), false);
   for (const auto& stage : stages_) stage->start();
+}
+
+template <typename Rpc, typename Opened>
+void EnhancementPipeline::add_stage(typename RemoteStage<Rpc>::Options options, const PipelineSession& session,
+                                    Opened opened) {
+  const std::size_t stage = stages_.size();
+  options.open.mutable_open()->set_window(session.window);
+  options.window = session.window;
+  options.first_sequence = session.first_sequence;
+  kinds_.push_back({options.stage, Rpc::kFineMesh, Rpc::prepare});
+  typename RemoteStage<Rpc>::Callbacks callbacks;
+  callbacks.opened = [this, stage, opened = std::move(opened)](const auto& answer) {
+    opened(answer);
+    stage_is_open(stage);
+  };
+  callbacks.deliver = [this, stage](std::unique_ptr<PipelineFrame> frame) { hand_on(stage, std::move(frame)); };
+  callbacks.drained = [this, stage] { stage_drained(stage); };
+  callbacks.failed = [this](const Error& cause) { fail(cause); };
+  stages_.push_back(std::make_unique<RemoteStage<Rpc>>(std::move(options), std::move(callbacks)));
+}
+
+void EnhancementPipeline::stage_is_open(std::size_t stage) {
+  const std::lock_guard lock(mutex_);
+  if (stage_opened_[stage]) return;
+  stage_opened_[stage] = true;
+  ++opened_;
+  changed_.notify_all();
 }
 
 EnhancementPipeline::~EnhancementPipeline() {
@@ -352,7 +260,7 @@ bool EnhancementPipeline::push(std::unique_ptr<PipelineFrame> frame) {
   if (failed()) return false;
   if (!frame->error) {
     frame->earlier = earlier_.fill(frame->coarse);
-    prepare_.front()(*frame);
+    kinds_.front().prepare(*frame);
   }
   return stages_.front()->push(std::move(frame));
 }
@@ -384,13 +292,13 @@ bool EnhancementPipeline::failed() const {
 void EnhancementPipeline::hand_on(std::size_t from, std::unique_ptr<PipelineFrame> frame) {
   try {
     const auto size = static_cast<std::size_t>(frame->fine.positions_size());
-    if (!frame->error && from >= kToMesh && size != 3 * fine_vertices_) {
-      frame->fail(static_cast<int>(grpc::StatusCode::INTERNAL),
-                  std::string(from == kToMesh ? "to_mesh" : "refinement") + " answered " + std::to_string(size / 3) +
-                      " vertices, expected " + std::to_string(fine_vertices_));
+    if (!frame->error && kinds_[from].makes_fine_mesh && size != 3 * fine_vertices_) {
+      frame->fail(static_cast<int>(grpc::StatusCode::INTERNAL), kinds_[from].name + " answered " +
+                                                                    std::to_string(size / 3) + " vertices, expected " +
+                                                                    std::to_string(fine_vertices_));
     }
     if (from + 1 < stages_.size()) {
-      if (!frame->error) prepare_[from + 1](*frame);
+      if (!frame->error) kinds_[from + 1].prepare(*frame);
       stages_[from + 1]->push(std::move(frame));
     } else if (!failed()) {
       sink_(std::move(frame));

@@ -6,15 +6,23 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "pleat/v1/common.pb.h"
 #include "pleat/v1/conversion.pb.h"
+#include "pleat/v1/fold.pb.h"
 
 namespace pleat::coordinator {
 
 using ObstacleFrames = google::protobuf::RepeatedPtrField<v1::ObstacleFrame>;
 using StageTimes = google::protobuf::RepeatedPtrField<v1::StageTime>;
+
+/// What the fold step left after a frame; its next frame goes on from there.
+struct FoldMemory {
+  std::uint64_t sequence = 0;
+  v1::FoldState state;
+};
 
 struct PipelineFrame {
   std::uint64_t sequence = 0;  ///< place in the session; the frame index between the services
@@ -25,7 +33,9 @@ struct PipelineFrame {
   ObstacleFrames obstacles;
   v1::ImageFrame image;  ///< what the network reads after to_image, its answer after superres, empty after to_mesh
   v1::RigidTransform alignment;
-  v1::Frame fine;  ///< after to_mesh; refined after refinement
+  v1::Frame fine;  ///< after to_mesh or fold; refined after refinement
+  v1::FoldReport fold;
+  std::shared_ptr<const FoldMemory> fold_memory;  ///< after fold
   v1::RefinementReport report;
   StageTimes stage_times;
   std::optional<v1::FrameError> error;  ///< set: no stage touches the frame any more, it only keeps its place
@@ -39,5 +49,17 @@ struct PipelineFrame {
     error->set_message(message);
   }
 };
+
+/// The times that a stage's answer has; they are moved.
+inline void add_times(PipelineFrame& frame, StageTimes& times) {
+  for (v1::StageTime& time : times) frame.stage_times.Add(std::move(time));
+  times.Clear();
+}
+
+/// The request of a stage that has answered or was given up: it is sent by nobody, and gives back what it was lent.
+template <typename Request>
+Request& sent(PipelineFrame& frame) {
+  return const_cast<Request&>(static_cast<const Request&>(*frame.work));
+}
 
 }  // namespace pleat::coordinator

@@ -1,6 +1,8 @@
 #include "services/coordinator/recorder.hpp"
 
 #include <algorithm>
+#include <map>
+#include <string_view>
 #include <utility>
 
 #include "common/telemetry/stage_timer.hpp"
@@ -33,24 +35,35 @@ void set_fine(PipelineFrame& frame, const ResultFrame& stored) {
 
 }  // namespace
 
-const std::vector<std::string> kJobStages = {"simulation", "to_image", "superres", "to_mesh", "refinement", "store"};
-const std::vector<std::string> kJobCounts = {"penetrations", "self_intersections", "frame_errors"};
+JobColumns job_columns(v1::Detail detail) {
+  JobColumns columns{stage_names(detail), {"penetrations", "self_intersections", "frame_errors"}};
+  columns.stages.insert(columns.stages.begin(), "simulation");
+  columns.stages.push_back("store");
+  if (uses_fold(detail)) columns.counts.insert(columns.counts.end(), {"fold_steps", "fold_restarts"});
+  return columns;
+}
 
 ResultFrame to_result_frame(const PipelineFrame& frame, const Subdivision& subdivision, const Faces& coarse_faces,
-                            float store_ms) {
+                            const JobColumns& columns, float store_ms) {
   ResultFrame result;
   result.time_s = frame.coarse.time_s();
   result.coarse = positions_of(frame.coarse);
   result.enhanced = frame.error ? upsample(subdivision, coarse_faces, result.coarse) : positions_of(frame.fine);
   for (const auto& obstacle : frame.obstacles) result.obstacles.push_back(obstacle_of(obstacle));
-  for (const std::string& stage : kJobStages) {
+  for (const std::string& stage : columns.stages) {
     float ms = stage == "store" ? store_ms : 0;
     for (const v1::StageTime& time : frame.stage_times) {
       if (time.stage() == stage) ms += static_cast<float>(time.ms());
     }
     result.stages_ms.push_back(ms);
   }
-  result.counts = {frame.report.penetrations_after(), frame.report.self_intersections_after(), frame.error ? 1U : 0U};
+  const std::map<std::string_view, std::uint32_t> counts{
+      {"penetrations", frame.report.penetrations_after()},
+      {"self_intersections", frame.report.self_intersections_after()},
+      {"frame_errors", frame.error ? 1U : 0U},
+      {"fold_steps", frame.fold.steps()},
+      {"fold_restarts", frame.fold.restarted() ? 1U : 0U}};
+  for (const std::string& name : columns.counts) result.counts.push_back(counts.at(name));
   return result;
 }
 
@@ -58,6 +71,7 @@ Recorder::Recorder(const std::filesystem::path& path, const ResultOptions& optio
                    std::size_t capacity, Callbacks callbacks)
     : subdivision_(subdivision),
       coarse_faces_(options.topology.coarse.faces),
+      columns_{options.stages, options.counts},
       capacity_(std::max<std::size_t>(1, capacity)),
       callbacks_(std::move(callbacks)),
       writer_(path, options, true),
@@ -120,7 +134,7 @@ void Recorder::run() {
     std::optional<Error> failure;
     try {
       const telemetry::StageTimer timer;
-      const ResultFrame result = to_result_frame(*frame, subdivision_, coarse_faces_, store_ms);
+      const ResultFrame result = to_result_frame(*frame, subdivision_, coarse_faces_, columns_, store_ms);
       writer_.append(result);
       if (frame->error) set_fine(*frame, result);
       store_ms = static_cast<float>(timer.milliseconds());

@@ -11,22 +11,29 @@
 #include <thread>
 
 #include "common/base/error.hpp"
+#include "common/frame/detail.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/result.hpp"
 #include "services/coordinator/pipeline_frame.hpp"
 
 namespace pleat::coordinator {
 
-/// The stages of a job, in the order of the pipeline, as in result.h5. `store` is the time that writing the frame
-/// before took: a frame's own is not known before it is written.
-extern const std::vector<std::string> kJobStages;
-/// Per frame: penetrations, self_intersections, frame_errors (1: the frame failed and has the upsampled coarse mesh).
-extern const std::vector<std::string> kJobCounts;
+/// What result.h5 has of every frame of a job.
+struct JobColumns {
+  /// In the order of the pipeline. `store` is the time that writing the frame before took: a frame's own is not known
+  /// before it is written.
+  std::vector<std::string> stages;
+  /// penetrations, self_intersections, frame_errors (1: the frame failed and has the upsampled coarse mesh), and of the
+  /// fold step fold_steps, fold_restarts.
+  std::vector<std::string> counts;
+};
+/// detail: checked.
+JobColumns job_columns(v1::Detail detail);
 
 /// The frame as the result file has it. A frame with an error gets the barycentrically upsampled coarse mesh: it has no
 /// wrinkles, but where the coarse mesh is free of intersections so is it.
 ResultFrame to_result_frame(const PipelineFrame& frame, const Subdivision& subdivision, const Faces& coarse_faces,
-                            float store_ms);
+                            const JobColumns& columns, float store_ms);
 
 class Recorder {
  public:
@@ -37,7 +44,8 @@ class Recorder {
     std::function<void(const Error&)> failed;                                    ///< once; nothing is written any more
   };
 
-  /// Continues PATH.partial if it fits. `capacity`: frames waiting. Errors as ResultWriter.
+  /// Continues PATH.partial if it fits. options.stages and counts: those of job_columns(). `capacity`: frames waiting.
+  /// Errors as ResultWriter.
   Recorder(const std::filesystem::path& path, const ResultOptions& options, const Subdivision& subdivision,
            std::size_t capacity, Callbacks callbacks);
   /// Stops after the frame in hand; what is written stays.
@@ -60,6 +68,7 @@ class Recorder {
 
   const Subdivision& subdivision_;
   const Faces coarse_faces_;
+  const JobColumns columns_;
   const std::size_t capacity_;
   const Callbacks callbacks_;
   ResultWriter writer_;

@@ -78,6 +78,26 @@ class Stage {
   virtual void join() = 0;   ///< after stop() or when drained: waits until no callback can come any more
 };
 
+/// A stage whose frames depend on the one before: Rpc has a Memory, memory_of(frame) after absorb(), and
+/// resumed(request, memory) for the first request of a stream that is opened again. Its frames go through one replica,
+/// the next one in the list when that breaks off.
+template <typename Rpc>
+concept Sequential = requires {
+  typename Rpc::Memory;
+};
+
+namespace detail {
+struct NoMemory {};
+template <typename Rpc>
+struct MemoryOf {
+  using type = NoMemory;
+};
+template <Sequential Rpc>
+struct MemoryOf<Rpc> {
+  using type = typename Rpc::Memory;
+};
+}  // namespace detail
+
 /// Rpc: Service, Request, Response, start(stub, context), take_back(PipelineFrame&) of what the request was lent, once
 /// nobody sends it any more, and absorb(PipelineFrame&, Response::frame*).
 template <typename Rpc>
@@ -87,6 +107,7 @@ class RemoteStage final : public Stage {
   using Response = typename Rpc::Response;
   using Stream = rpc::FrameStream<Request, Response>;
   using Opened = std::decay_t<decltype(std::declval<const Response&>().opened())>;
+  using MemoryPtr = std::shared_ptr<const typename detail::MemoryOf<Rpc>::type>;
 
   struct Options {
     std::string stage;    ///< "to_image", in metrics
@@ -96,6 +117,7 @@ class RemoteStage final : public Stage {
     std::uint32_t window = rpc::kDefaultWindow;
     std::uint64_t first_sequence = 0;
     LinkOptions link;
+    MemoryPtr memory = {};  ///< of the frame before the first, if that is known; of a sequential stage
   };
   struct Callbacks {
     std::function<void(const Opened&)> opened;  ///< every time a replica opened; an Error fails the session, with the
@@ -109,9 +131,10 @@ class RemoteStage final : public Stage {
       : options_(std::move(options)),
         callbacks_(std::move(callbacks)),
         outage_(options_.link.give_up),
-        scheduler_({.replicas = options_.addresses.size(), .window = options_.window}, options_.first_sequence,
+        memory_(options_.memory),
+        scheduler_({.replicas = replica_count(), .window = options_.window}, options_.first_sequence,
                    callbacks_.deliver, callbacks_.drained),
-        streams_(options_.addresses.size(), nullptr) {}
+        streams_(replica_count(), nullptr) {}
 
   ~RemoteStage() override {
     stop();
@@ -119,7 +142,7 @@ class RemoteStage final : public Stage {
   }
 
   void start() override {
-    for (std::size_t r = 0; r < options_.addresses.size(); ++r) replicas_.emplace_back([this, r] { run(r); });
+    for (std::size_t r = 0; r < replica_count(); ++r) replicas_.emplace_back([this, r] { run(r); });
   }
 
   void join() override {
@@ -150,7 +173,12 @@ class RemoteStage final : public Stage {
  private:
   using Clock = std::chrono::steady_clock;
 
-  std::string peer(std::size_t r) const { return options_.service + " at " + options_.addresses[r]; }
+  std::size_t replica_count() const { return Sequential<Rpc> ? 1 : options_.addresses.size(); }
+  /// A sequential stage changes its address between streams only.
+  const std::string& address(std::size_t r) const {
+    return options_.addresses[(r + turn_) % options_.addresses.size()];
+  }
+  std::string peer(std::size_t r) const { return options_.service + " at " + address(r); }
 
   void run(std::size_t r) {
     Backoff backoff;
@@ -175,6 +203,7 @@ class RemoteStage final : public Stage {
         return;
       }
       if (options_.link.metrics != nullptr) options_.link.metrics->count("reconnects");
+      if constexpr (Sequential<Rpc>) ++turn_;
       scheduler_.wait_finished(backoff.next());
     }
   }
@@ -183,7 +212,7 @@ class RemoteStage final : public Stage {
   std::optional<Error> session(std::size_t r, bool& answered) {
     try {
       // A new channel for each attempt: an old one waits by a schedule of its own before it connects again.
-      const auto stub = Rpc::Service::NewStub(options_.link.connect(options_.addresses[r]));
+      const auto stub = Rpc::Service::NewStub(options_.link.connect(address(r)));
       Stream stream([&](auto* context, auto* call) { Rpc::start(*stub, context, call); },
                     {.peer = peer(r),
                      .window = options_.window,
@@ -236,7 +265,14 @@ class RemoteStage final : public Stage {
       ended.notify_all();
     });
     try {
-      while (const auto work = scheduler_.take(r)) stream.push(static_cast<const Request&>(*work));
+      [[maybe_unused]] bool first = true;
+      while (auto work = scheduler_.take(r)) {
+        if constexpr (Sequential<Rpc>) {
+          if (first && memory_) work = Rpc::resumed(std::move(work), *memory_);
+          first = false;
+        }
+        stream.push(static_cast<const Request&>(*work));
+      }
       if (scheduler_.drained()) stream.close();
     } catch (const Error& e) {
       write_failure = e;
@@ -275,6 +311,7 @@ class RemoteStage final : public Stage {
       frame->work.reset();
       if (ok) {
         Rpc::absorb(*frame, *response.mutable_frame());
+        if constexpr (Sequential<Rpc>) memory_ = Rpc::memory_of(*frame);
       } else {
         frame->fail(response.error().code(), options_.stage + ": " + response.error().message());
       }
@@ -308,6 +345,9 @@ class RemoteStage final : public Stage {
   const Options options_;
   const Callbacks callbacks_;
   Outage outage_;
+  /// Of the last frame that was answered; read before the first request of a stream is sent, written after that.
+  MemoryPtr memory_;
+  std::size_t turn_ = 0;  ///< of a sequential stage, through the addresses
   StageScheduler<PipelineFrame> scheduler_;
   std::mutex mutex_;
   bool joining_ = false;

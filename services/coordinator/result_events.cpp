@@ -1,5 +1,6 @@
 #include "services/coordinator/result_events.hpp"
 
+#include <algorithm>
 #include <numeric>
 #include <utility>
 
@@ -39,6 +40,7 @@ EventPtr make_event(PipelineFrame& frame) {
   enhanced.mutable_coarse()->Swap(&frame.coarse);
   enhanced.mutable_coarse()->clear_velocities();
   enhanced.mutable_report()->Swap(&frame.report);
+  if (frame.fold.steps() > 0) enhanced.mutable_fold()->Swap(&frame.fold);
   enhanced.mutable_stage_times()->Swap(&frame.stage_times);
   enhanced.mutable_obstacles()->Swap(&frame.obstacles);
   return event;
@@ -81,6 +83,11 @@ EventPtr read_event(const ResultReader& reader, std::uint64_t index) {
   set_positions(enhanced.mutable_coarse(), stored.coarse);
   enhanced.mutable_report()->set_penetrations_after(count("penetrations"));
   enhanced.mutable_report()->set_self_intersections_after(count("self_intersections"));
+  const auto& counts = reader.info().counts;
+  if (std::find(counts.begin(), counts.end(), "fold_steps") != counts.end()) {
+    enhanced.mutable_fold()->set_steps(count("fold_steps"));
+    enhanced.mutable_fold()->set_restarted(count("fold_restarts") != 0);
+  }
   for (std::size_t i = 0; i < stored.stages_ms.size(); ++i) {
     v1::StageTime& time = *enhanced.add_stage_times();
     time.set_stage(reader.info().stages[i]);

@@ -19,7 +19,8 @@ ServiceAddresses addresses_of(const CoordinatorOptions& options) {
   return {.simulation = split_addresses("simulation", options.simulation),
           .conversion = split_addresses("conversion", options.conversion),
           .superres = split_addresses("superres", options.superres),
-          .refinement = split_addresses("refinement", options.refinement)};
+          .refinement = split_addresses("refinement", options.refinement),
+          .fold = split_addresses("fold", options.fold)};
 }
 
 std::chrono::milliseconds milliseconds_of(double seconds, const std::string& option) {
@@ -249,6 +250,7 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   summary.set_device(record.device);
   summary.set_precision(record.precision);
   summary.set_frame_errors(record.frame_errors);
+  summary.set_detail(detail_named(record.detail));
   for (const std::string& warning : record.warnings) job.add_warnings(warning);
   return job;
 }

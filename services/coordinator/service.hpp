@@ -22,6 +22,7 @@ struct CoordinatorOptions {
   std::string simulation = "unix:/tmp/pleat/simulation.sock";
   std::string conversion = "unix:/tmp/pleat/conversion.sock";
   std::string superres = "unix:/tmp/pleat/superres.sock";
+  std::string fold = "unix:/tmp/pleat/fold.sock";
   std::string refinement = "unix:/tmp/pleat/refinement.sock";
   std::string data = "pleat-data";  ///< folder of the jobs
   rpc::TlsOptions service_tls;      ///< towards the services

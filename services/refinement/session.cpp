@@ -3,13 +3,13 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <string>
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
+#include "common/mesh/fine_size.hpp"
 #include "common/mesh/subdivision.hpp"
 
 namespace pleat::refinement {
@@ -36,13 +36,7 @@ void fill(const RefinementReport& report, v1::RefinementReport* message) {
 Session::Session(const v1::RefineOpen& open, const SessionOptions& options) {
   const Topology coarse = from_message(open.coarse(), "open.coarse");
   const SubdivisionSpec spec = subdivision_from(open);
-  const double vertices =
-      static_cast<double>(coarse.vertex_count()) * std::pow(4.0, std::min(spec.rounds, kMaxSubdivisionRounds));
-  if (vertices > static_cast<double>(options.max_vertices)) {
-    throw Error(ErrorCode::kResourceExhausted,
-                "open.coarse: about " + std::to_string(static_cast<std::int64_t>(vertices)) +
-                    " fine vertices, more than this service's limit of " + std::to_string(options.max_vertices));
-  }
+  check_fine_size(coarse.vertex_count(), spec.rounds, options.max_vertices, "open.coarse");
   const Subdivision subdivision = subdivide(coarse, spec);
   fine_hash_ = topology_hash(subdivision.fine);
   if (open.has_fine() && open.fine().faces_size() > 0 &&

@@ -7,6 +7,7 @@
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
+#include "services/simulation/material_messages.hpp"
 #include "services/simulation/obstacles.hpp"
 
 namespace pleat::simulation {
@@ -101,11 +102,8 @@ Material material_from(const v1::Scene& scene) {
   switch (scene.material_case()) {
     case v1::Scene::kMaterialJson:
       return parse_material(scene.material_json(), "scene.material_json");
-    case v1::Scene::kIsotropic: {
-      const v1::IsotropicMaterial& m = scene.isotropic();
-      return isotropic_material({m.density(), m.youngs_modulus(), m.poissons_ratio(), m.thickness()},
-                                "scene.isotropic");
-    }
+    case v1::Scene::kIsotropic:
+      return material_from_message(scene.isotropic(), "scene.isotropic");
     case v1::Scene::kMaterialFile:
       throw_invalid_argument("scene.material_file: on the wire the material's JSON is needed, not its file");
     case v1::Scene::MATERIAL_NOT_SET:

@@ -6,6 +6,7 @@
 #include "common/frame/messages.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "pleat/v1/conversion.pb.h"
+#include "pleat/v1/fold.pb.h"
 #include "pleat/v1/refinement.pb.h"
 #include "tests/fuzz/message_fuzzer.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
@@ -81,6 +82,37 @@ void conversion_seeds(const std::filesystem::path& folder) {
   write(folder / "to_image" / "own-fine-mesh", own);
 }
 
+// A stream that goes on, one that begins with a state, and one with a start.
+void fold_seeds(const std::filesystem::path& folder) {
+  const Topology coarse = test::square_sheet(2, 1);
+  const Subdivision subdivision = subdivide(coarse, 1);
+  std::vector<v1::FoldRequest> messages(4);
+  v1::FoldOpen& open = *messages[0].mutable_open();
+  *open.mutable_coarse() = to_message(coarse);
+  open.mutable_coarse()->clear_hash();
+  open.set_subdivision_rounds(1);
+  open.set_frame_time_s(0.04);
+  *open.add_obstacles() = to_message(ObstacleShape{"ball", {}});
+  open.add_handles()->add_vertices(0);
+  v1::IsotropicMaterial& material = *open.mutable_material()->mutable_isotropic();
+  material.set_density(500);
+  material.set_youngs_modulus(1e6);
+  material.set_poissons_ratio(0.3);
+  material.set_thickness(5e-4);
+  for (std::uint64_t k = 0; k < 3; ++k) {
+    v1::FoldFrame& frame = *messages[k + 1].mutable_frame();
+    *frame.mutable_coarse() = to_message(frame_of(coarse, k, 0.05f));
+    *frame.add_obstacles() = to_message(test::sphere("ball", {0.3f, -0.3f, -0.5f}, 0.25f));
+  }
+  write(folder / "fold" / "session-1", messages);
+  const Positions fine = upsample(subdivision, coarse.faces, coarse.rest_positions);
+  to_message(fine, messages[1].mutable_frame()->mutable_state()->mutable_positions());
+  to_message(Positions::Zero(fine.rows(), 3), messages[1].mutable_frame()->mutable_state()->mutable_velocities());
+  write(folder / "fold" / "session-2", messages);
+  to_message(fine, messages[2].mutable_frame()->mutable_start());
+  write(folder / "fold" / "session-3", messages);
+}
+
 void refinement_seeds(const std::filesystem::path& folder) {
   const Topology coarse = test::square_sheet(3, 1);
   const Subdivision subdivision = subdivide(coarse, 2);
@@ -118,6 +150,7 @@ int main(int argc, char** argv) {
     return 2;
   }
   pleat::fuzz::conversion_seeds(argv[1]);
+  pleat::fuzz::fold_seeds(argv[1]);
   pleat::fuzz::refinement_seeds(argv[1]);
   return 0;
 }

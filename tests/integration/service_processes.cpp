@@ -20,6 +20,7 @@ std::string health_name(const std::string& service) {
   if (service == "simulation") return "pleat.v1.Simulation";
   if (service == "conversion") return "pleat.v1.Conversion";
   if (service == "superres") return "pleat.v1.SuperResolution";
+  if (service == "fold") return "pleat.v1.Fold";
   if (service == "refinement") return "pleat.v1.Refinement";
   return "pleat.v1.Coordinator";
 }
@@ -33,7 +34,7 @@ std::filesystem::path environment_path(const char* name) {
 }  // namespace
 
 const std::vector<std::string>& ServiceProcesses::stages() {
-  static const std::vector<std::string> names{"simulation", "conversion", "superres", "refinement"};
+  static const std::vector<std::string> names{"simulation", "conversion", "superres", "fold", "refinement"};
   return names;
 }
 

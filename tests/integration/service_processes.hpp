@@ -1,4 +1,4 @@
-// The five services as real processes over Unix sockets, to be killed and started again.
+// The services as real processes over Unix sockets, to be killed and started again.
 #pragma once
 
 #include <map>
@@ -11,13 +11,13 @@
 
 namespace pleat::testing {
 
-/// Starts pleat-simulation, -conversion, -superres, -refinement and -coordinator from PLEAT_BINARY_DIR/bin. To be used
-/// from the main thread: the kernel ends the children with the thread that started them.
+/// Starts pleat-simulation, -conversion, -superres, -fold, -refinement and -coordinator from PLEAT_BINARY_DIR/bin. To
+/// be used from the main thread: the kernel ends the children with the thread that started them.
 class ServiceProcesses {
  public:
   ServiceProcesses();
 
-  /// "simulation", "conversion", "superres", "refinement", "coordinator"
+  /// "simulation", "conversion", "superres", "fold", "refinement", "coordinator"
   static const std::vector<std::string>& stages();
 
   void start(const std::string& service);

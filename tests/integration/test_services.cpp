@@ -1,6 +1,7 @@
-// The whole pipeline as its users run it: five processes on one host.
+// The whole pipeline as its users run it: processes on one host.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstring>
 #include <functional>
@@ -33,11 +34,12 @@ class ServicesTest : public ::testing::Test {
   }
 
   static v1::Job create(const std::string& id, std::uint32_t frames, bool reference = false,
-                        v1::Coordinator::Stub* stub = stub_.get()) {
+                        v1::Coordinator::Stub* stub = stub_.get(), v1::Detail detail = v1::DETAIL_NETWORK) {
     v1::CreateJobRequest request;
     *request.mutable_scene() = scene_;
     request.set_frames(frames);
     request.set_reference(reference);
+    request.set_detail(detail);
     request.set_job_id(id);
     grpc::ClientContext context;
     v1::Job job;
@@ -150,6 +152,36 @@ TEST_F(ServicesTest, KillingEveryServiceLeavesTheSameBits) {
     ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << service << ": " << job.error() << "\n" << logs();
     EXPECT_EQ(job.summary().frame_errors(), 0U) << service;
     expect_same_bits(job.result_path(), undisturbed.result_path());
+  }
+}
+
+TEST_F(ServicesTest, TheFoldStepMakesCleanFramesAndAKillLeavesTheirBits) {
+  for (const v1::Detail detail : {v1::DETAIL_FOLD, v1::DETAIL_BOTH}) {
+    const std::string name = detail == v1::DETAIL_FOLD ? "folded" : "folded-network";
+    create(name, kFrames, false, stub_.get(), detail);
+    const v1::Job undisturbed = finished(name);
+    ASSERT_EQ(undisturbed.state(), v1::Job::STATE_DONE) << undisturbed.error() << "\n" << logs();
+    EXPECT_EQ(undisturbed.summary().penetrations(), 0U);
+    EXPECT_EQ(undisturbed.summary().self_intersections(), 0U);
+    EXPECT_EQ(undisturbed.summary().frame_errors(), 0U);
+    const ResultReader reader(undisturbed.result_path());
+    EXPECT_GT(reader.stage_ms("fold", 5, 6)[0], 0.0F);
+    const auto restarts = reader.counts("fold_restarts", 0, kFrames);
+    EXPECT_EQ(std::count(restarts.begin(), restarts.end(), 1U), 1) << "the first frame alone begins anew";
+    // A coordinator that goes on makes the frames again that lie behind its check-point.
+    for (const std::string service : {"fold", "coordinator"}) {
+      const std::string id = name + "-without-" + service;
+      create(id, kFrames, false, stub_.get(), detail);
+      ASSERT_TRUE(eventually([&] { return get(id).frames_complete() >= 4; })) << logs();
+      EXPECT_EQ(get(id).state(), v1::Job::STATE_RUNNING) << "the kill must hit a running job";
+      processes_->kill(service);
+      processes_->start(service);
+      if (service == "coordinator") processes_->wait_until_healthy(service);
+      const v1::Job job = finished(id);
+      ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << service << ": " << job.error() << "\n" << logs();
+      EXPECT_EQ(job.summary().frame_errors(), 0U) << service;
+      expect_same_bits(job.result_path(), undisturbed.result_path());
+    }
   }
 }
 

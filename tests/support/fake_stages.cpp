@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <optional>
 #include <stdexcept>
 #include <thread>
 #include <type_traits>
@@ -10,6 +11,7 @@
 #include "common/rpc/channel.hpp"
 #include "common/rpc/stream.hpp"
 #include "pleat/v1/conversion.grpc.pb.h"
+#include "pleat/v1/fold.grpc.pb.h"
 #include "pleat/v1/refinement.grpc.pb.h"
 #include "pleat/v1/simulation.grpc.pb.h"
 #include "pleat/v1/superres.grpc.pb.h"
@@ -20,6 +22,7 @@ namespace {
 constexpr float kVelocityFactor = 0.01F;
 constexpr float kEarlierFactor = 0.125F;
 constexpr float kRefinementOffset = 0.001F;
+constexpr float kFoldOffset = 0.0625F;
 
 Topology from_wire(const v1::Topology& message) {
   Topology topology;
@@ -97,6 +100,8 @@ grpc::Status serve(FakeService& fake, grpc::ServerContext* context, grpc::Server
         answer(index);
         if constexpr (requires { response.mutable_frame()->mutable_fine(); }) {
           response.mutable_frame()->mutable_fine()->mutable_positions()->Truncate(3);
+        } else if constexpr (requires { response.mutable_frame()->mutable_state(); }) {
+          response.mutable_frame()->mutable_state()->mutable_positions()->Truncate(3);
         }
         break;
       case Faults::Kind::kNone:
@@ -290,6 +295,48 @@ class FakeSuperResolution final : public FakeService, public v1::SuperResolution
   const FakeBundle& bundle_;
 };
 
+/// Its state counts the frames since the cloth began anew, in every velocity.
+class FakeFold final : public FakeService, public v1::Fold::Service {
+ public:
+  explicit FakeFold(std::string address) : FakeService(std::move(address)) {}
+
+  grpc::Status Fold(grpc::ServerContext* context,
+                    grpc::ServerReaderWriter<v1::FoldResponse, v1::FoldRequest>* stream) override {
+    Topology coarse;
+    Subdivision subdivision;
+    float since = 0;
+    std::optional<std::uint64_t> last;
+    return serve(
+        *this, context, stream,
+        [&](const v1::FoldOpen& open, v1::FoldOpened& opened_message) {
+          coarse = from_wire(open.coarse());
+          subdivision = subdivide(coarse, open.has_subdivision_rounds() ? static_cast<int>(open.subdivision_rounds())
+                                                                        : kDefaultSubdivisionRounds);
+          opened_message.set_fine_hash(topology_hash(subdivision.fine));
+        },
+        [&](const v1::FoldFrame& frame, std::uint64_t index, v1::FoldedFrame& folded) {
+          const bool goes_on = frame.has_state() || (last && *last + 1 == index);
+          if (frame.has_state()) since = frame.state().velocities(0);
+          since = goes_on ? since + 1 : 1;
+          last = index;
+          const auto& values = frame.start().empty() ? frame.coarse().positions() : frame.start();
+          Positions fine = Eigen::Map<const Positions>(values.data(), values.size() / 3, 3);
+          if (frame.start().empty()) fine = upsample(subdivision, coarse.faces, fine);
+          fine.array() += kFoldOffset * since;
+          folded.set_index(index);
+          folded.set_time_s(frame.coarse().time_s());
+          set(folded.mutable_state()->mutable_positions(), fine);
+          folded.mutable_state()->mutable_velocities()->Resize(static_cast<int>(fine.size()), since);
+          folded.mutable_report()->set_steps(7);
+          folded.mutable_report()->set_restarted(!goes_on);
+          add_time(folded.mutable_stage_times(), "fold", 3);
+        });
+  }
+
+ private:
+  std::vector<grpc::Service*> services() override { return {static_cast<v1::Fold::Service*>(this)}; }
+};
+
 class FakeRefinement final : public FakeService, public v1::Refinement::Service {
  public:
   explicit FakeRefinement(std::string address) : FakeService(std::move(address)) {}
@@ -378,6 +425,7 @@ FakeStages::FakeStages() {
   conversion_ = std::make_unique<FakeConversion>(socket + "conversion");
   superres_ = std::make_unique<FakeSuperResolution>(socket + "superres", bundle_);
   refinement_ = std::make_unique<FakeRefinement>(socket + "refinement");
+  fold_ = std::make_unique<FakeFold>(socket + "fold");
   for (FakeService* fake : all()) fake->start();
 }
 
@@ -392,8 +440,16 @@ FakeService& FakeStages::add_superres() {
   return *more_.back();
 }
 
+FakeService& FakeStages::add_fold() {
+  more_.push_back(
+      std::make_unique<FakeFold>("unix:" + folder_.path().string() + "/fold" + std::to_string(more_.size() + 1)));
+  more_.back()->start();
+  return *more_.back();
+}
+
 std::vector<FakeService*> FakeStages::all() {
-  std::vector<FakeService*> fakes{simulation_.get(), conversion_.get(), superres_.get(), refinement_.get()};
+  std::vector<FakeService*> fakes{simulation_.get(), conversion_.get(), superres_.get(), refinement_.get(),
+                                  fold_.get()};
   for (const auto& fake : more_) fakes.push_back(fake.get());
   return fakes;
 }
@@ -466,6 +522,16 @@ v1::Frame fake_coarse_frame(const Topology& coarse, std::uint64_t index, double 
         (static_cast<double>(now.data()[i]) - static_cast<double>(before.data()[i])) / frame_time_s));
   }
   return frame;
+}
+
+Positions fake_folded(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,
+                      std::uint64_t since, bool refined) {
+  const auto& values = coarse.positions();
+  Positions fine =
+      upsample(subdivision, coarse_faces, Eigen::Map<const Positions>(values.data(), values.size() / 3, 3));
+  fine.array() += kFoldOffset * static_cast<float>(since);
+  if (refined) fine.array() += kRefinementOffset;
+  return fine;
 }
 
 Positions fake_enhanced(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,

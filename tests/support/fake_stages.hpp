@@ -1,4 +1,4 @@
-// The four services behind the coordinator as small in-process servers over Unix sockets: real streams, simple
+// The services behind the coordinator as small in-process servers over Unix sockets: real streams, simple
 // arithmetic, and faults on demand.
 #pragma once
 
@@ -91,7 +91,7 @@ class FakeService {
   std::unique_ptr<grpc::Server> server_;
 };
 
-/// All four, started. Numbered sockets allow for replicas.
+/// All of them, started. Numbered sockets allow for replicas.
 class FakeStages {
  public:
   FakeStages();
@@ -101,8 +101,11 @@ class FakeStages {
   FakeService& conversion() { return *conversion_; }
   FakeService& superres() { return *superres_; }
   FakeService& refinement() { return *refinement_; }
+  FakeService& fold() { return *fold_; }
   /// One more super-resolution service, started.
   FakeService& add_superres();
+  /// One more fold service, started.
+  FakeService& add_fold();
   /// Of all super-resolution services.
   FakeBundle& bundle() { return bundle_; }
   std::vector<FakeService*> all();
@@ -111,7 +114,7 @@ class FakeStages {
  private:
   test::TemporaryFolder folder_;
   FakeBundle bundle_;
-  std::unique_ptr<FakeService> simulation_, conversion_, superres_, refinement_;
+  std::unique_ptr<FakeService> simulation_, conversion_, superres_, refinement_, fold_;
   std::vector<std::unique_ptr<FakeService>> more_;
 };
 
@@ -123,6 +126,10 @@ v1::Scene fake_scene(std::uint32_t frames, const std::string& name = "fake");
 
 /// Frame k of the fake simulation, with velocities.
 v1::Frame fake_coarse_frame(const Topology& coarse, std::uint64_t index, double frame_time_s = 0.04);
+/// What the fake fold step makes of a coarse frame alone: upsampled, and more by a constant for every frame since the
+/// cloth began anew. since: frames since then, 1 for the first.
+Positions fake_folded(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,
+                      std::uint64_t since, bool refined = true);
 /// What the fake stages make of a coarse frame. earlier: the window before it, the oldest first.
 Positions fake_enhanced(const Subdivision& subdivision, const Faces& coarse_faces, const v1::Frame& coarse,
                         bool refined = true, const std::vector<v1::Frame>& earlier = {});

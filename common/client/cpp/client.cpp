@@ -180,6 +180,11 @@ EnhanceSession Client::enhance(const EnhanceOptions& options) const {
   open->set_window(rpc::checked_window(options.window));
   open->set_skip_refinement(options.skip_refinement);
   if (options.subdivision_rounds) open->set_subdivision_rounds(*options.subdivision_rounds);
+  open->set_detail(options.detail);
+  if (!options.material_json.empty()) open->mutable_material()->set_json(options.material_json);
+  if (!options.held.empty()) {
+    open->add_handles()->mutable_vertices()->Assign(options.held.begin(), options.held.end());
+  }
 
   auto session = std::make_unique<EnhanceSession::State>();
   session->peer = state_->peer;
@@ -197,7 +202,9 @@ EnhanceSession Client::enhance(const EnhanceOptions& options) const {
                    {opened.feature_vertices().begin(), opened.feature_vertices().end()},
                    opened.model(),
                    opened.device(),
-                   opened.precision()};
+                   opened.precision(),
+                   // An older coordinator says nothing, and has a network.
+                   opened.detail() == v1::DETAIL_UNSPECIFIED ? v1::DETAIL_NETWORK : opened.detail()};
   return EnhanceSession(std::move(session));
 }
 

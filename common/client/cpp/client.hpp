@@ -31,6 +31,9 @@ struct EnhanceOptions {
   std::uint32_t window = 0;  ///< frames in flight, at most 64; 0: 4
   bool skip_refinement = false;
   std::optional<std::uint32_t> subdivision_rounds = {};  ///< unset: the coordinator's default
+  v1::Detail detail = v1::DETAIL_UNSPECIFIED;  ///< network, fold step or both; unset: the coordinator's default
+  std::string material_json = {};        ///< for the fold step, ARCSim's format; empty: the shipped default material
+  std::vector<std::uint32_t> held = {};  ///< for the fold step: coarse vertices that the cloth is held at all the time
 };
 
 /// What a session works with.
@@ -38,6 +41,7 @@ struct SessionInfo {
   Mesh fine;                                    ///< of the answers
   std::vector<std::uint32_t> feature_vertices;  ///< (V_coarse) the coarse vertices inside the fine mesh
   std::string model, device, precision;
+  v1::Detail detail = v1::DETAIL_NETWORK;  ///< what is in force
 };
 
 /// A live session. One thread may push while another pops; with a single thread use run() or try_push(). Failures of

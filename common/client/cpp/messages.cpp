@@ -109,6 +109,10 @@ EnhancedFrame from_message(const v1::EnhancedFrame& message, std::size_t vertice
   frame.report = {report.self_intersections_before(), report.self_intersections_after(), report.penetrations_before(),
                   report.penetrations_after(),        report.vertices_moved(),           report.largest_move_m(),
                   report.input_intersects()};
+  if (message.has_fold()) {
+    const v1::FoldReport& fold = message.fold();
+    frame.fold = FoldReport{fold.steps(), fold.layer_contacts(), fold.obstacle_contacts(), fold.restarted()};
+  }
   for (const v1::StageTime& time : message.stage_times()) frame.stage_times.push_back({time.stage(), time.ms()});
   frame.coarse = positions_of(message.coarse().positions(), 0, "frame.coarse");
   for (const v1::ObstacleFrame& obstacle : message.obstacles()) frame.obstacles.push_back(obstacle_of(obstacle));

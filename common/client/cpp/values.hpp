@@ -63,12 +63,19 @@ struct RefinementReport {
   bool input_intersects = false;  ///< the coarse input was not clean: the result is no worse, but not guaranteed
 };
 
+/// What the fold step did (proto/pleat/v1/common.proto, FoldReport).
+struct FoldReport {
+  std::uint32_t steps = 0, layer_contacts = 0, obstacle_contacts = 0;
+  bool restarted = false;  ///< begun anew from the upsampled coarse cloth
+};
+
 /// One answer: a fine frame, or why there is none. The session or job goes on either way.
 struct EnhancedFrame {
   std::uint64_t index = 0;
   double time_s = 0;
   std::vector<float> positions;  ///< (V_fine x 3); with an error: empty, or in jobs the upsampled coarse mesh
   RefinementReport report;
+  std::optional<FoldReport> fold;  ///< where the fold step is in use
   std::vector<StageTime> stage_times;
   std::optional<Error> error;  ///< its message names the frame
   // Of jobs only: what the frame was made from.

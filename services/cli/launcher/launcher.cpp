@@ -35,11 +35,9 @@ struct Known {
   const char* health_name;
 };
 // The coordinator is last: it starts when its stages are about to listen.
-constexpr Known kServices[] = {{"simulation", "pleat.v1.Simulation"},
-                               {"conversion", "pleat.v1.Conversion"},
-                               {"superres", "pleat.v1.SuperResolution"},
-                               {"refinement", "pleat.v1.Refinement"},
-                               {"coordinator", "pleat.v1.Coordinator"}};
+constexpr Known kServices[] = {{"simulation", "pleat.v1.Simulation"},    {"conversion", "pleat.v1.Conversion"},
+                               {"superres", "pleat.v1.SuperResolution"}, {"fold", "pleat.v1.Fold"},
+                               {"refinement", "pleat.v1.Refinement"},    {"coordinator", "pleat.v1.Coordinator"}};
 
 /// The bundle that superres loads at its start; "" where there is none.
 std::string default_bundle(const fs::path& models) {
@@ -95,6 +93,8 @@ Launcher::Launcher(LauncherOptions options) : options_(std::move(options)), live
   for (const Known& known : kServices) {
     Service service;
     service.name = known.name;
+    if (!options_.network && (service.name == "conversion" || service.name == "superres")) continue;
+    if (!options_.fold && service.name == "fold") continue;
     service.health_name = known.health_name;
     service.address = "unix:" + (sockets_.path() / (service.name + ".sock")).string();
     if (service.name == "coordinator" && !options_.listen.empty()) service.address = options_.listen;

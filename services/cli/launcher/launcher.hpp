@@ -1,4 +1,4 @@
-// Runs the five services on this host, as children that end with us.
+// Runs the services on this host, as children that end with us.
 #pragma once
 
 #include <chrono>
@@ -22,6 +22,8 @@ struct LauncherOptions {
   std::string model;           ///< the default bundle; empty: draping, else the first in `models`, else none
   std::filesystem::path data;  ///< the coordinator's job files; made if need be
   std::filesystem::path logs;  ///< one file a service; made if need be
+  bool network = true;         ///< start conversion and superres
+  bool fold = true;            ///< start the fold service
   std::string listen;          ///< of the coordinator; empty: a Unix socket
   std::string metrics_listen;  ///< of the coordinator; empty: none
   std::chrono::seconds start_timeout{300};     ///< until all are healthy

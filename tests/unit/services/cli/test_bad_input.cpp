@@ -78,6 +78,16 @@ std::vector<std::string> run_scene() { return {"run", "@/scene.json", "--out", "
 
 const Case kCases[] = {
     {"no_command", {}, 2, "no command given"},
+    {"unknown_detail", {"run", "@/scene.json", "--out", "@/out", "--detail", "folds"}, 2, "--detail"},
+    {"model_without_network",
+     {"run", "@/scene.json", "--out", "@/out", "--detail", "fold", "--model", "draping"},
+     2,
+     "--model draping: --detail fold uses no bundle"},
+    {"no_material",
+     {"enhance", "--rest", "@/cloth.obj", "--frames", "@/cloth.obj", "--out", "@/out", "--detail", "fold", "--material",
+      "@/none.json"},
+     2,
+     "none.json"},
     {"unknown_command", {"fold"}, 2, "fold"},
     {"unknown_option", {"run", "x", "--out", "y", "--speed", "9"}, 2, "--speed"},
     {"run_no_scene", {"run", "--out", "@/out"}, 2, "scene"},

@@ -27,7 +27,7 @@ class LauncherTest : public testing::Test {
     fs::create_directories(folder_ / "models");
     fs::copy(built("pleat"), folder_ / "bin" / "pleat");
     const fs::path fake = built("pleat").parent_path().parent_path() / "tests" / "fake_service";
-    for (const char* service : {"simulation", "conversion", "superres", "refinement", "coordinator"})
+    for (const char* service : {"simulation", "conversion", "superres", "fold", "refinement", "coordinator"})
       fs::create_symlink(fake, folder_ / "bin" / (std::string("pleat-") + service));
   }
 
@@ -54,16 +54,16 @@ class LauncherTest : public testing::Test {
   const fs::path folder_ = temporary_.path();
 };
 
-TEST_F(LauncherTest, StartsFiveServicesAndStopsThemOnInterrupt) {
+TEST_F(LauncherTest, StartsAllServicesAndStopsThemOnInterrupt) {
   Background program(pleat(), up(), output(), environment());
   const std::string ready = program.wait_for_line("ready ");
   ASSERT_THAT(ready, HasSubstr("unix:"));
-  EXPECT_EQ(processes_with(folder_.string()).size(), 6u);
+  EXPECT_EQ(processes_with(folder_.string()).size(), 7u);
   EXPECT_EQ(private_folders(), 1u);
   program.send(SIGINT);
   const Outcome outcome = program.wait();
   EXPECT_EQ(outcome.exit_code, 0) << outcome.err;
-  for (const char* service : {"simulation", "conversion", "superres", "refinement", "coordinator"}) {
+  for (const char* service : {"simulation", "conversion", "superres", "fold", "refinement", "coordinator"}) {
     EXPECT_THAT(outcome.out, HasSubstr(service));
     EXPECT_TRUE(fs::exists(folder_ / "data" / "logs" / (std::string(service) + ".log"))) << service;
   }
@@ -226,7 +226,7 @@ TEST_F(LauncherTest, ForeignFilesInAnOutputFolderSurvive) {
       EXPECT_TRUE(!name.starts_with(".pleat-work-") || name == ".pleat-work-mine") << name;
     }
     // Files in the place of the results are refused before anything begins.
-    for (const char* name : {"result.h5", "result.h5.partial", "report.json", "report.html", "logs/superres.log"}) {
+    for (const char* name : {"result.h5", "result.h5.partial", "report.json", "report.html", "logs/fold.log"}) {
       const fs::path path = out / name;
       fs::remove(path);
       std::ofstream(path) << "mine";

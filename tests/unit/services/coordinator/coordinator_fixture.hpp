@@ -21,6 +21,7 @@ class CoordinatorTest : public ::testing::Test {
     options_.simulation = fakes_.simulation().address();
     options_.conversion = fakes_.conversion().address();
     options_.superres = fakes_.superres().address();
+    options_.fold = fakes_.fold().address();
     options_.refinement = fakes_.refinement().address();
     options_.data = (fakes_.folder() / "data").string();
     options_.give_up_s = 1.5;
@@ -54,11 +55,13 @@ class CoordinatorTest : public ::testing::Test {
     grpc::ClientContext context;
     return stub_->CreateJob(&context, request, job);
   }
-  v1::Job create(std::uint32_t frames, const std::string& id, bool reference = false) {
+  v1::Job create(std::uint32_t frames, const std::string& id, bool reference = false,
+                 v1::Detail detail = v1::DETAIL_NETWORK) {
     v1::CreateJobRequest request;
     *request.mutable_scene() = testing::fake_scene(frames);
     request.set_job_id(id);
     request.set_reference(reference);
+    request.set_detail(detail);
     v1::Job job;
     const grpc::Status status = create(request, &job);
     EXPECT_TRUE(status.ok()) << status.error_message();

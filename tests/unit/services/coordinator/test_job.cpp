@@ -21,6 +21,7 @@ JobRecord sample() {
   record.frames_complete = 120;
   record.reference = true;
   record.reference_frames_complete = 11;
+  record.detail = "both";
   record.error = "a \"quoted\" cause";
   record.model = "tablecloth";
   record.device = "cpu";

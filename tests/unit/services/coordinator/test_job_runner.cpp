@@ -292,6 +292,50 @@ TEST_F(JobsTest, ARestartedCoordinatorGoesOn) {
   EXPECT_EQ(get("ended").state(), v1::Job::STATE_DONE);
 }
 
+TEST_F(JobsTest, AFoldedJobNeedsNoBundleAndARestartedCoordinatorGoesOn) {
+  fakes_.conversion().stop();
+  fakes_.superres().stop();
+  start();
+  fakes_.simulation().faults.delay(3ms);
+  create(60, "a", false, v1::DETAIL_FOLD);
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 23; }));
+  stop();
+  const int before = fakes_.fold().frames;
+  fakes_.simulation().faults.delay(0ms);
+  start();
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  EXPECT_EQ(job.summary().detail(), v1::DETAIL_FOLD);
+  EXPECT_EQ(job.summary().model(), "");
+  EXPECT_LT(fakes_.fold().frames - before, 45) << "it went on at a check-point";
+  const ResultReader reader(job.result_path());
+  EXPECT_EQ(reader.info().stages, (std::vector<std::string>{"fold", "refinement", "simulation", "store"}));
+  EXPECT_EQ(reader.counts("fold_steps", 59, 60)[0], 7U);
+  EXPECT_EQ(reader.counts("fold_restarts", 0, 2), (std::vector<std::uint32_t>{1, 0}));
+  const Topology coarse = testing::sheet();
+  const Subdivision subdivision = subdivide(coarse, 2);
+  for (std::uint64_t i = 0; i < 60; ++i) {
+    ASSERT_EQ(reader.enhanced(i, i + 1)[0],
+              testing::fake_folded(subdivision, coarse.faces, testing::fake_coarse_frame(coarse, i), i + 1))
+        << i;
+  }
+}
+
+TEST_F(JobsTest, AFoldedJobWithoutItsCheckpointIsMadeAgainAndKeepsItsFrames) {
+  start();
+  fakes_.simulation().faults.delay(3ms);
+  create(30, "a", false, v1::DETAIL_BOTH);
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 12; }));
+  stop();
+  std::filesystem::remove(std::filesystem::path(options_.data) / "jobs/a/checkpoint.bin");
+  start();
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  const ResultReader reader(job.result_path());
+  const auto restarts = reader.counts("fold_restarts", 0, 30);
+  EXPECT_EQ(std::count(restarts.begin(), restarts.end(), 1U), 1);
+}
+
 TEST_F(JobsTest, ARestartedCoordinatorDoesNotMixBundles) {
   start();
   fakes_.simulation().faults.delay(3ms);

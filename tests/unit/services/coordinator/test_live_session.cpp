@@ -44,6 +44,7 @@ class LiveSessionTest : public CoordinatorTest {
     v1::EnhanceRequest request;
     *request.mutable_open()->mutable_coarse() = to_message(coarse_);
     request.mutable_open()->add_obstacles()->set_name("ball");
+    request.mutable_open()->set_detail(v1::DETAIL_NETWORK);
     return request;
   }
   std::unique_ptr<Client> open(const v1::EnhanceRequest& request) {
@@ -197,6 +198,27 @@ TEST_F(LiveSessionTest, RefinementCanBeLeftOut) {
   expect_frame(client->receive(), 0, false);
 }
 
+TEST_F(LiveSessionTest, TheFoldStepNeedsNoBundle) {
+  fakes_.conversion().stop();
+  fakes_.superres().stop();
+  start();
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->set_detail(v1::DETAIL_FOLD);
+  request.mutable_open()->set_subdivision_rounds(1);
+  const auto client = open(request);
+  const Subdivision halved = subdivide(coarse_, 1);
+  for (std::uint64_t i = 0; i < 8; ++i) {
+    client->send(frame_request(i));
+    const v1::EnhanceResponse response = client->receive();
+    ASSERT_TRUE(response.has_frame()) << response.error().message();
+    EXPECT_EQ(response.frame().fold().restarted(), i == 0);
+    EXPECT_EQ(positions_from_message(response.frame().fine()),
+              testing::fake_folded(halved, coarse_.faces, testing::fake_coarse_frame(coarse_, i), i + 1));
+  }
+  client->close();
+  EXPECT_TRUE(client->finish().ok());
+}
+
 TEST_F(LiveSessionTest, FaultsAreInvisible) {
   start();
   for (testing::FakeService* fake : {&fakes_.conversion(), &fakes_.superres(), &fakes_.refinement()}) {
@@ -245,6 +267,9 @@ TEST_F(LiveSessionTest, BadOpensAreRefusedWithTheirCause) {
   v1::EnhanceRequest request = open_request();
   request.mutable_open()->mutable_coarse()->set_faces(0, 99);
   expect_refused(request, StatusCode::INVALID_ARGUMENT, "open.coarse");
+  request = open_request();
+  request.mutable_open()->set_detail(static_cast<v1::Detail>(9));
+  expect_refused(request, StatusCode::INVALID_ARGUMENT, "open.detail: unknown value 9");
   request = open_request();
   request.mutable_open()->mutable_coarse()->clear_uv();
   request.mutable_open()->mutable_coarse()->clear_uv_faces();

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
 #include <mutex>
 #include <thread>
@@ -16,6 +17,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using test::error_of;
+using testing::FakeService;
 using testing::Faults;
 
 LinkOptions fast_link() {
@@ -33,7 +35,8 @@ class PipelineTest : public ::testing::Test {
     addresses_ = {{fakes_.simulation().address()},
                   {fakes_.conversion().address()},
                   {fakes_.superres().address()},
-                  {fakes_.refinement().address()}};
+                  {fakes_.refinement().address()},
+                  {fakes_.fold().address()}};
     session_.coarse = to_message(coarse_);
     session_.model.set_model("fake");
     session_.model.set_scale(4);
@@ -132,6 +135,99 @@ TEST_F(PipelineTest, AWindowGoesOnBehindTheFramesOnDisk) {
     EXPECT_EQ(positions_from_message(out_[i - 5]->fine),
               testing::fake_enhanced(subdivision_, coarse_.faces, testing::fake_coarse_frame(coarse_, i), true,
                                      earlier_of(i)));
+  }
+}
+
+/// Frames of the fold step alone.
+class FoldedPipeline : public PipelineTest {
+ protected:
+  FoldedPipeline() {
+    session_.detail = v1::DETAIL_FOLD;
+    session_.model.Clear();
+  }
+  /// began: where the cloth began anew, in ascending order.
+  void expect_folded(std::uint64_t frames, std::vector<std::uint64_t> began = {0}) {
+    ASSERT_EQ(out_.size(), frames);
+    for (const auto& made : out_) {
+      if (made->error) continue;
+      const auto start = *std::prev(std::upper_bound(began.begin(), began.end(), made->index));
+      EXPECT_EQ(made->fold.restarted(), made->index == start) << made->index;
+      ASSERT_EQ(positions_from_message(made->fine),
+                testing::fake_folded(subdivision_, coarse_.faces, testing::fake_coarse_frame(coarse_, made->index),
+                                     made->index - start + 1))
+          << made->index;
+    }
+  }
+};
+
+TEST_F(FoldedPipeline, NeedsNoNetwork) {
+  fakes_.conversion().stop();
+  fakes_.superres().stop();
+  run(20);
+  expect_folded(20);
+  std::string stages;
+  for (const auto& time : out_[7]->stage_times) stages += time.stage() + " ";
+  EXPECT_EQ(stages, "fold refinement ");
+  EXPECT_EQ(out_[7]->fold.steps(), 7U);
+}
+
+TEST_F(FoldedPipeline, BrokenStreamsChangeNothing) {
+  fakes_.fold().faults.at(0, Faults::Kind::kBreak);
+  fakes_.fold().faults.at(5, Faults::Kind::kBreak, 3);
+  fakes_.fold().faults.at(9, Faults::Kind::kHang);
+  fakes_.refinement().faults.at(7, Faults::Kind::kBreak);
+  run(20);
+  expect_folded(20);
+  EXPECT_EQ(fakes_.fold().opened, 6);
+}
+
+TEST_F(FoldedPipeline, AnotherReplicaGoesOnWhereOneBrokeOff) {
+  FakeService& other = fakes_.add_fold();
+  addresses_.fold.push_back(other.address());
+  fakes_.fold().faults.at(6, Faults::Kind::kBreak);
+  other.faults.at(11, Faults::Kind::kBreak);
+  session_.fold_turn = 2;
+  run(20);
+  expect_folded(20);
+  EXPECT_EQ(fakes_.fold().frames + other.frames, 20) << "a frame at a time, in one of them";
+  EXPECT_EQ(other.frames, 5);
+}
+
+TEST_F(FoldedPipeline, BeginsAnewBehindAFrameThatIsMissing) {
+  fakes_.fold().faults.at(4, Faults::Kind::kFrameError);
+  fakes_.fold().faults.at(8, Faults::Kind::kBreak, 100);
+  fakes_.fold().faults.at(9, Faults::Kind::kWrongSize);
+  run(14);
+  for (const std::uint64_t index : {4U, 8U, 9U}) EXPECT_TRUE(out_[index]->error) << index;
+  EXPECT_NE(out_[9]->error->message().find("fold answered 1 vertices"), std::string::npos);
+}
+
+TEST_F(FoldedPipeline, GoesOnFromWhatWasKept) {
+  run(5);
+  session_.fold_memory = out_[4]->fold_memory;
+  session_.first_sequence = 5;
+  out_.clear();
+  fakes_.fold().faults.at(5, Faults::Kind::kBreak);
+  const auto pipeline = make();
+  for (std::uint64_t i = 5; i < 9; ++i) ASSERT_TRUE(pipeline->push(frame(i)));
+  pipeline->close();
+  pipeline->wait();
+  expect_folded(4);
+}
+
+TEST_F(FoldedPipeline, StartsFromTheNetworksAnswer) {
+  session_.detail = v1::DETAIL_BOTH;
+  session_.model.set_model("fake");
+  session_.model.set_scale(4);
+  fakes_.fold().faults.at(3, Faults::Kind::kBreak);
+  run(6);
+  ASSERT_EQ(out_.size(), 6U);
+  for (std::uint64_t i = 0; i < 6; ++i) {
+    const v1::Frame coarse = testing::fake_coarse_frame(coarse_, i);
+    const Positions network = testing::fake_enhanced(subdivision_, coarse_.faces, coarse, false);
+    const Positions folded = testing::fake_folded(subdivision_, coarse_.faces, coarse, i + 1) -
+                             upsample(subdivision_, coarse_.faces, positions_from_message(coarse));
+    EXPECT_LT((positions_from_message(out_[i]->fine) - network - folded).cwiseAbs().maxCoeff(), 1e-5F) << i;
   }
 }
 

@@ -1,0 +1,137 @@
+#include "services/coordinator/pipeline_session.hpp"
+
+#include <google/protobuf/util/message_differencer.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <thread>
+#include <tuple>
+
+#include "common/frame/representation_messages.hpp"
+#include "common/mesh/mesh.hpp"
+#include "pleat/v1/conversion.grpc.pb.h"
+#include "pleat/v1/superres.grpc.pb.h"
+
+namespace pleat::coordinator {
+namespace {
+
+/// Calls one of the addresses after the other until one answers, or the outage is too long.
+template <typename Response, typename Call>
+Response ask(const std::string& service, const std::vector<std::string>& addresses, const LinkOptions& link,
+             const std::function<bool()>& cancelled, const Call& call) {
+  Outage outage(link.give_up);
+  Backoff backoff(std::chrono::milliseconds(50), std::chrono::milliseconds(400));
+  for (std::size_t attempt = 0;; ++attempt) {
+    const std::string& address = addresses[attempt % addresses.size()];
+    Response response;
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + std::min(link.open_timeout, link.give_up));
+    const grpc::Status status = call(link.connect(address), &context, &response);
+    if (status.ok()) return response;
+    const Error error = rpc::to_error(status, service + " at " + address);
+    if (!may_pass(error.code())) throw error;
+    if (outage.too_long()) throw outage.gave_up(error);
+    if (cancelled()) throw Error(ErrorCode::kCancelled, "cancelled");
+    std::this_thread::sleep_for(backoff.next());
+  }
+}
+
+/// What a bundle has another one of; empty if both make the same frames.
+std::string difference(const v1::ModelDescription& before, const v1::ModelDescription& now) {
+  using google::protobuf::util::MessageDifferencer;
+  const auto image = [](const v1::ModelDescription& model) {
+    return std::tuple(model.coarse_width(), model.coarse_height(), model.scale());
+  };
+  if (!MessageDifferencer::Equals(now.normalization(), before.normalization())) return "normalisation";
+  if (!MessageDifferencer::Equals(now.representation(), before.representation())) return "representation";
+  if (image(now) != image(before)) return "image size";
+  if (!std::equal(now.channels().begin(), now.channels().end(), before.channels().begin(), before.channels().end())) {
+    return "list of channels";
+  }
+  if (now.topology_hash() != before.topology_hash()) return "mesh";
+  if (now.architecture() != before.architecture() || now.parameters() != before.parameters()) return "architecture";
+  if (now.metadata_json() != before.metadata_json() || now.git_revision() != before.git_revision()) return "training";
+  return {};
+}
+
+}  // namespace
+
+v1::ConversionSetup conversion_setup(const PipelineSession& session) {
+  v1::ConversionSetup setup;
+  *setup.mutable_coarse() = session.coarse;
+  *setup.mutable_representation() = session.representation;
+  return setup;
+}
+
+void check_fine_hash(const std::string& hash, const std::string& expected) {
+  if (!hash.empty() && hash != expected) {
+    throw_internal("subdivides the coarse mesh in another way: " + hash + ", expected " + expected);
+  }
+}
+
+std::vector<std::string> split_addresses(const std::string& service, const std::string& list) {
+  std::vector<std::string> addresses;
+  std::size_t begin = 0;
+  while (begin <= list.size()) {
+    const std::size_t end = std::min(list.find(',', begin), list.size());
+    if (end > begin) addresses.push_back(list.substr(begin, end - begin));
+    begin = end + 1;
+  }
+  if (addresses.empty()) throw_invalid_argument("--" + service + ": no address");
+  return addresses;
+}
+
+void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what) {
+  if (rounds > kMaxSubdivisionRounds) {
+    throw_invalid_argument(what + ": " + std::to_string(rounds) + " subdivisions, at most " +
+                           std::to_string(kMaxSubdivisionRounds));
+  }
+  const double fine = static_cast<double>(coarse_vertices) * std::pow(4.0, rounds);
+  if (fine <= static_cast<double>(max_vertices)) return;
+  throw Error(ErrorCode::kResourceExhausted,
+              what + ": " + std::to_string(coarse_vertices) + " vertices, subdivided " + std::to_string(rounds) +
+                  " times about " + std::to_string(static_cast<std::int64_t>(fine)) +
+                  ", more than this coordinator's limit of " + std::to_string(max_vertices));
+}
+
+v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
+                                    const std::function<bool()>& cancelled) {
+  return ask<v1::ModelDescription>(
+      "superres", addresses.superres, link, cancelled, [&](const auto& channel, auto* context, auto* response) {
+        v1::DescribeModelRequest request;
+        request.set_model(name);
+        return v1::SuperResolution::NewStub(channel)->DescribeModel(context, request, response);
+      });
+}
+
+v1::ModelDescription without_model() {
+  v1::ModelDescription description;
+  description.set_device("cpu");
+  description.set_precision("float32");
+  return description;
+}
+
+v1::ConversionOpened describe_conversion(const ServiceAddresses& addresses, const LinkOptions& link,
+                                         const PipelineSession& session, const std::function<bool()>& cancelled) {
+  const v1::ConversionSetup setup = conversion_setup(session);
+  return ask<v1::ConversionOpened>("conversion", addresses.conversion, link, cancelled,
+                                   [&](const auto& channel, auto* context, auto* response) {
+                                     return v1::Conversion::NewStub(channel)->Describe(context, setup, response);
+                                   });
+}
+
+Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse) {
+  Subdivision subdivision = subdivide(coarse, subdivision_from(session.representation));
+  check_fine_hash(session.conversion.fine().hash(), topology_hash(subdivision.fine));
+  return subdivision;
+}
+
+void require_same_bundle(const v1::ModelDescription& before, const v1::ModelDescription& now) {
+  const std::string other = difference(before, now);
+  if (other.empty()) return;
+  throw Error(ErrorCode::kFailedPrecondition,
+              "bundle " + before.model() + " was replaced meanwhile by one with another " + other + "; begin anew");
+}
+
+}  // namespace pleat::coordinator
