@@ -4,9 +4,7 @@
 #include <atomic>
 #include <csignal>
 
-#include "common/base/error.hpp"
 #include "common/base/program.hpp"
-#include "services/superres/bundle/re_export.hpp"
 #include "services/superres/training/program.hpp"
 
 namespace {
@@ -35,13 +33,9 @@ int main(int argc, char** argv) {
       "Exit codes: 0 done, 1 failed, 2 wrong usage or input.");
   pleat::superres::TrainArguments arguments;
   bool strict = false;
-  std::string old_bundle, out;
-  auto* config = app.add_option("config", arguments.config, "JSON file");
-  auto* old = app.add_option("--re-export", old_bundle, "OLD.pt: a bundle of an earlier version, written anew to --out")
-                  ->excludes(config);
-  auto* target = app.add_option("--out", out, "NEW.pt");
-  old->needs(target);
-  target->needs(old);
+  app.add_option("config", arguments.config, "JSON file");
+  app.add_option("--re-export", arguments.re_export, "OLD.pt: a bundle of an earlier version, written anew to --out");
+  app.add_option("--out", arguments.out, "NEW.pt");
   app.add_option("--set", arguments.changes, "KEY=VALUE: changes a key, for example losses.normal=0; may be repeated")
       ->allow_extra_args(false);
   app.add_flag("--strict", strict, "a sequence that can't be used is an error, not a warning");
@@ -51,11 +45,6 @@ int main(int argc, char** argv) {
   app.add_option("--rank", arguments.rank)->check(CLI::Range(0, 1023))->group("");
   app.add_option("--rendezvous", arguments.rendezvous)->group("");
   return pleat::run_program(app, argc, argv, [&] {
-    if (!old_bundle.empty()) {
-      pleat::superres::re_export(old_bundle, out);
-      return pleat::kExitDone;
-    }
-    if (arguments.config.empty()) pleat::throw_invalid_argument("no CONFIG; see pleat-train --help");
     arguments.words.assign(argv + 1, argv + argc);
     if (strict) arguments.changes.emplace_back("strict=true");
     arguments.git_revision = PLEAT_GIT_REVISION;
