@@ -113,7 +113,7 @@ TEST_F(TrainProgram, FullDiskKeepsTheLastCheckpoint) {
 
 TEST_F(TrainProgram, TooLittleMemoryMakesPassesSmaller) {
   // What the program takes by itself is half of 1.5 GB; a step's images in one pass far above.
-  const std::string one_step = "$TRAIN --set epochs=1 --set steps_per_epoch=1 --set batch=256";
+  const std::string one_step = "$TRAIN --set epochs=1 --set steps_per_epoch=1 --set batch=1024";
   for (const char* kernels : {"own", "libtorch"}) {
     const std::string output = std::string("little_") + kernels;
     const std::string set = " --set kernels=" + std::string(kernels) + " --set output=" + output;

@@ -62,7 +62,7 @@ class ReExport : public testing::Test {
 };
 
 TEST_F(ReExport, DetailKeepsTheDisplacements) {
-  write_old({}, kInputs, kOldOutputs);
+  write_old(json::object(), kInputs, kOldOutputs);
   Metadata unread;
   EXPECT_THAT(error_of([&] { load_bundle(old_, unread); }).what(), HasSubstr("--re-export"));
   re_export(old_, new_);
