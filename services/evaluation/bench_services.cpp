@@ -31,22 +31,33 @@ std::filesystem::path log_file(const BenchOptions& options, const std::string& p
   return options.out / "logs" / ("superres-" + precision + ".log");
 }
 
+/// Random values of the size of a bundle's images.
+v1::Tensor random_image(std::uint32_t channels, const v1::GeometryImage& size) {
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> value(0.3f, 0.7f);
+  v1::Tensor image;
+  for (const std::uint32_t extent : {channels, size.height(), size.width()}) image.add_shape(extent);
+  for (std::uint32_t i = 0; i < channels * size.height() * size.width(); ++i) image.add_values(value(random));
+  return image;
+}
+
 /// Milliseconds of each inference of random images of the bundle's size, as the service measures them.
 std::vector<double> infer(SuperresProcess& service, const std::string& model, std::size_t runs,
                           std::string* precision) {
   const auto stream = service.stream();
+  const v1::ModelDescription description = service.describe(model);
+  const v1::Representation& representation = description.representation();
+  const v1::GeometryImage& size = representation.geometry_image();
   v1::UpscaleRequest request;
   request.mutable_open()->set_model(model);
   request.mutable_open()->set_window(1);
+  if (description.constant_channels() > 0) {
+    *request.mutable_open()->mutable_constants() = random_image(description.constant_channels(), size);
+  }
   const v1::ModelDescription opened = stream->open(request);
   *precision = opened.precision();
-  std::mt19937 random(1);
-  std::uniform_real_distribution<float> value(0.3f, 0.7f);
-  v1::Tensor& image = *request.mutable_frame()->mutable_image();
-  for (const std::uint32_t extent : {9u, opened.coarse_height(), opened.coarse_width()}) image.add_shape(extent);
-  *image.mutable_channels() = opened.channels();
-  const auto count = static_cast<int>(9 * opened.coarse_height() * opened.coarse_width());
-  for (int i = 0; i < count; ++i) image.add_values(value(random));
+  const auto channels = static_cast<std::uint32_t>(representation.input().scale_size());
+  *request.mutable_frame()->mutable_image() = random_image(std::max(1u, representation.window()) * channels, size);
   *request.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
   std::vector<double> ms;
   for (std::size_t r = 0; r < runs + kWarmUp; ++r) {

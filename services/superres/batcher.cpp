@@ -12,9 +12,11 @@ namespace pleat::superres {
 
 struct Batcher::State {
   struct Request {
-    Tensor image;
+    Tensor frames;
+    std::shared_ptr<const Tensor> constants;
     int channels;
     std::promise<Tensor> answer;
+    NetworkInput input() const { return {&frames, constants}; }
   };
 
   std::shared_ptr<Engine> engine;
@@ -33,7 +35,7 @@ struct Batcher::State {
     if (sessions.load() > 1) wake.wait_for(lock, options.latency, full);
     std::vector<Request> batch;
     while (!queue.empty() && batch.size() < static_cast<std::size_t>(options.largest_batch)) {
-      if (!batch.empty() && (queue.front().image.shape != batch.front().image.shape ||
+      if (!batch.empty() && (queue.front().frames.shape != batch.front().frames.shape ||
                              queue.front().channels != batch.front().channels)) {
         break;
       }
@@ -45,7 +47,7 @@ struct Batcher::State {
 
   void answer_one(Request& request) {
     try {
-      request.answer.set_value(engine->upscale(request.image, request.channels));
+      request.answer.set_value(engine->upscale(request.input(), request.channels));
     } catch (...) {
       request.answer.set_exception(std::current_exception());
     }
@@ -53,26 +55,17 @@ struct Batcher::State {
 
   void answer(std::vector<Request>& batch) {
     if (batch.size() == 1) return answer_one(batch.front());
-    std::vector<std::span<const float>> images;
-    for (const Request& request : batch) images.emplace_back(request.image.values);
-    const Tensor& first = batch.front().image;
-    const int channels = batch.front().channels;
-    std::vector<std::vector<float>> results;
+    std::vector<NetworkInput> inputs;
+    for (const Request& request : batch) inputs.push_back(request.input());
+    std::vector<Tensor> results;
     try {
-      results = engine->upscale(images, static_cast<int>(first.shape[1]), static_cast<int>(first.shape[2]), channels);
+      results = engine->upscale(inputs, batch.front().channels);
     } catch (const std::exception&) {
       // One bad image must not spoil the others: each gets its own answer or error.
       for (Request& request : batch) answer_one(request);
       return;
     }
-    for (std::size_t i = 0; i < batch.size(); ++i) {
-      Tensor result;
-      result.shape = {channels, first.shape[1] * kScale, first.shape[2] * kScale};
-      const auto& names = engine->describe().channels;
-      result.channels.assign(names.begin(), names.begin() + channels);
-      result.values = std::move(results[i]);
-      batch[i].answer.set_value(std::move(result));
-    }
+    for (std::size_t i = 0; i < batch.size(); ++i) batch[i].answer.set_value(std::move(results[i]));
   }
 
   void work() {
@@ -99,12 +92,9 @@ Batcher::~Batcher() {
   state_->worker.join();
 }
 
-std::future<Tensor> Batcher::submit(Tensor image, int channels) {
-  if (image.shape.size() != 3 || image.shape[0] != kChannels ||
-      (!image.channels.empty() && image.channels != state_->engine->describe().channels)) {
-    throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
-  }
-  State::Request request{std::move(image), channels, {}};
+std::future<Tensor> Batcher::submit(Tensor frames, std::shared_ptr<const Tensor> constants, int channels) {
+  State::Request request{std::move(frames), std::move(constants), channels, {}};
+  state_->engine->check(request.input());
   auto future = request.answer.get_future();
   {
     const std::lock_guard lock(state_->mutex);

@@ -26,10 +26,10 @@ class Batcher {
   Batcher(const Batcher&) = delete;
   Batcher& operator=(const Batcher&) = delete;
 
-  /// Queues a coarse image (9, h, w); the future holds the first `channels` (9 or 3) of the fine one, or the error of
-  /// its inference. Throws kResourceExhausted if the queue is full, kInvalidArgument for other channels. A faulty image
-  /// spoils only its own answer.
-  std::future<Tensor> submit(Tensor image, int channels = kChannels);
+  /// Queues a window of frames (T C, h, w) with the session's constants; the future holds the first `channels` of the
+  /// answer (0: all), or the error of its inference. Throws kResourceExhausted if the queue is full, and as
+  /// Engine::check(). A faulty image spoils only its own answer.
+  std::future<Tensor> submit(Tensor frames, std::shared_ptr<const Tensor> constants, int channels = 0);
 
   /// A session counts until the returned token dies.
   std::shared_ptr<void> open_session();

@@ -6,20 +6,18 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
-#include <filesystem>
 #include <fstream>
+#include <map>
 #include <mutex>
 
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
-#include "services/superres/bundle.hpp"
-#include "services/superres/cpu/executor.hpp"
+#include "services/superres/bundle/bundle.hpp"
+#include "services/superres/bundle/folder.hpp"
+#include "services/superres/kernels/executor.hpp"
 
 namespace pleat::superres {
 namespace {
-
-namespace fs = std::filesystem;
 
 /// The first value of a field of /proc/cpuinfo, or "".
 std::string processor_field(const std::string& field) {
@@ -37,6 +35,13 @@ std::string first_line(const std::string& text) { return text.substr(0, text.fin
 
 bool stays_float32(const std::string& name, const std::vector<std::string>& prefixes) {
   return std::any_of(prefixes.begin(), prefixes.end(), [&](const auto& prefix) { return name.rfind(prefix, 0) == 0; });
+}
+
+constexpr std::int64_t kLargestSide = 8192;
+constexpr std::int64_t kAnySide = 16;  ///< of the images that warm a bundle up which serves any size
+
+bool all_finite(const Tensor& tensor) {
+  return std::all_of(tensor.values.begin(), tensor.values.end(), [](float v) { return std::isfinite(v); });
 }
 
 bool out_of_memory(const std::string& text) {
@@ -77,60 +82,30 @@ bool processor_has_bfloat16() {
   return flags.find(" avx512_bf16 ") != std::string::npos || flags.find(" amx_bf16 ") != std::string::npos;
 }
 
-std::vector<std::string> list_bundles(const std::string& folder) {
-  std::error_code error;
-  fs::directory_iterator files(folder, error);
-  if (error) throw_not_found(folder + ": no folder of model bundles: " + error.message());
-  std::vector<std::string> names;
-  for (const auto& file : files) {
-    if (file.path().extension() == ".pt" && file.is_regular_file(error)) names.push_back(file.path().stem().string());
-  }
-  std::sort(names.begin(), names.end());
-  return names;
-}
-
-std::string bundle_path(const std::string& folder, const std::string& name) {
-  const std::string file = name.size() > 3 && name.ends_with(".pt") ? name : name + ".pt";
-  if (name.empty() || name.find_first_of(std::string("/\\\0", 3)) != std::string::npos || name.find("..") == 0) {
-    throw_invalid_argument("model bundle '" + name + "': only names of files in " + folder + " are allowed");
-  }
-  std::error_code error;
-  const fs::path root = fs::canonical(folder, error);
-  if (error) throw_not_found(folder + ": no folder of model bundles: " + error.message());
-  const fs::path path = fs::canonical(root / file, error);
-  if (error || !fs::is_regular_file(path))
-    throw_not_found("model bundle '" + name + "': no file " + folder + "/" + file);
-  if (path.parent_path() != root) {
-    throw_invalid_argument("model bundle '" + name + "' leads outside " + folder);
-  }
-  return path.string();
-}
-
-Metadata read_metadata(const std::string& folder, const std::string& name) {
-  Metadata metadata;
-  load_bundle(bundle_path(folder, name), metadata);
-  return metadata;
-}
-
 struct Engine::State {
   Metadata metadata;
+  Ports ports;
   EngineStatus status;
   torch::Device device = torch::kCPU;
   torch::jit::Module module;
-  std::unique_ptr<cpu::Executor> executor;  ///< in place of the module where it can
+  std::unique_ptr<kernels::Executor> executor;  ///< in place of the module where it can
+  std::shared_ptr<const Tensor> constants_in_use;
   std::mutex mutex;
 
-  /// One inference of the module. images: (N, 9, h, w).
-  torch::Tensor run_module(const torch::Tensor& images) {
+  std::vector<std::int64_t> answer_shape(const std::vector<std::int64_t>& frames, int channels) const {
+    return {channels, frames[1] * ports.scale, frames[2] * ports.scale};
+  }
+
+  /// One inference of the module. input: (N, T C + K, h, w). Returns (N, outputs, H, W).
+  torch::Tensor run_module(const torch::Tensor& input) {
     const c10::InferenceMode inference;
     if (at::get_num_threads() != status.threads) at::set_num_threads(status.threads);
-    torch::Tensor output;
     const std::string name = "model bundle '" + metadata.name + "': ";
     try {
-      output = module.forward({images.to(device)}).toTensor();
-      const auto expected = std::vector<std::int64_t>{images.size(0), kChannels, images.size(2) * metadata.scale,
-                                                      images.size(3) * metadata.scale};
-      if (output.sizes().vec() != expected) throw_internal(name + "answers with another shape than (N, 9, 4h, 4w)");
+      const auto output = module.forward({input.to(device)}).toTensor();
+      auto expected = answer_shape(input.sizes().slice(1).vec(), ports.outputs);
+      expected.insert(expected.begin(), input.size(0));
+      if (output.sizes().vec() != expected) throw_internal(name + "answers with another shape than it should");
       return output.to(torch::kCPU, torch::kFloat32).contiguous();
     } catch (const Error&) {
       throw;
@@ -142,34 +117,83 @@ struct Engine::State {
     }
   }
 
-  /// Images [begin, end) to results [begin, end), in batches that the device can hold.
-  void run_batches(const torch::Tensor& images, std::int64_t begin, std::int64_t end, int channels,
-                   std::vector<std::vector<float>>& results) {
-    const std::int64_t plane = images.size(2) * images.size(3), fine = plane * metadata.scale * metadata.scale;
-    if (executor) {
-      for (std::int64_t n = begin; n < end; ++n) {
-        auto& result = results[static_cast<std::size_t>(n)];
-        result.resize(static_cast<std::size_t>(channels * fine));
-        executor->run(images.data_ptr<float>() + n * kChannels * plane, static_cast<int>(images.size(2)),
-                      static_cast<int>(images.size(3)), channels, result.data());
-      }
-      return;
+  /// (N, T C + K, h, w)
+  torch::Tensor stack(std::span<const NetworkInput> inputs) const {
+    const Tensor& first = *inputs.front().frames;
+    auto input = torch::empty({static_cast<std::int64_t>(inputs.size()), ports.inputs, first.shape[1], first.shape[2]},
+                              torch::kFloat32);
+    float* target = input.data_ptr<float>();
+    for (const NetworkInput& one : inputs) {
+      target = std::copy(one.frames->values.begin(), one.frames->values.end(), target);
+      if (one.constants) target = std::copy(one.constants->values.begin(), one.constants->values.end(), target);
     }
-    while (begin < end) {
-      const std::int64_t count = std::min<std::int64_t>(end - begin, status.largest_batch);
+    return input;
+  }
+
+  void run_own(std::span<const NetworkInput> inputs, int channels, std::vector<Tensor>& results) {
+    for (std::size_t n = 0; n < inputs.size(); ++n) {
+      const Tensor& frames = *inputs[n].frames;
+      const std::span<const float> constants =
+          inputs[n].constants ? std::span<const float>(inputs[n].constants->values) : std::span<const float>();
+      executor->run(frames.values.data(), constants,
+                    {static_cast<int>(frames.shape[1]), static_cast<int>(frames.shape[2])}, channels,
+                    results[n].values.data());
+      // The executor knows them by their address: it may not become another's.
+      constants_in_use = inputs[n].constants;
+    }
+  }
+
+  /// In batches that the device can hold.
+  std::vector<Tensor> run(std::span<const NetworkInput> inputs, int channels) {
+    std::vector<Tensor> results(inputs.size());
+    for (Tensor& result : results) {
+      result.shape = answer_shape(inputs.front().frames->shape, channels);
+      result.values.resize(static_cast<std::size_t>(result.shape[0] * result.shape[1] * result.shape[2]));
+    }
+    if (executor) {
+      run_own(inputs, channels, results);
+      return results;
+    }
+    for (std::size_t begin = 0; begin < inputs.size();) {
+      const std::size_t count = std::min(inputs.size() - begin, static_cast<std::size_t>(status.largest_batch));
       torch::Tensor output;
       try {
-        output = run_module(images.slice(0, begin, begin + count));
+        output = run_module(stack(inputs.subspan(begin, count)));
       } catch (const Error& error) {
         if (error.code() != ErrorCode::kResourceExhausted || count == 1) throw;
         status.largest_batch = static_cast<int>(count / 2);
         continue;
       }
-      for (std::int64_t n = 0; n < count; ++n) {
-        const float* source = output.data_ptr<float>() + n * kChannels * fine;
-        results[static_cast<std::size_t>(begin + n)].assign(source, source + channels * fine);
+      for (std::size_t n = 0; n < count; ++n) {
+        auto& values = results[begin + n].values;
+        const auto one = output[static_cast<std::int64_t>(n)];
+        std::copy_n(one.data_ptr<float>(), values.size(), values.begin());
       }
       begin += count;
+    }
+    return results;
+  }
+
+  /// The first inferences make buffers, and TorchScript optimises in its second; a batch of one must be as warm as a
+  /// full one.
+  void warm_up(const std::string& path) {
+    const auto& image = std::get<GeometryImageSpec>(metadata.representation.kind).image;
+    const bool any = image.coarse_width == 0;
+    const std::int64_t h = any ? kAnySide : image.coarse_height, w = any ? kAnySide : image.coarse_width;
+    const auto filled = [&](std::int64_t channels) {
+      return Tensor{{channels, h, w}, {}, std::vector<float>(static_cast<std::size_t>(channels * h * w), 0.5F)};
+    };
+    const Tensor frames = filled(ports.inputs - metadata.constants);
+    const auto constants =
+        metadata.constants > 0 ? std::make_shared<const Tensor>(filled(metadata.constants)) : nullptr;
+    for (const int batch : {1, executor ? 1 : status.largest_batch}) {
+      const std::vector<NetworkInput> inputs(static_cast<std::size_t>(batch), NetworkInput{&frames, constants});
+      for (int i = 0; i < 2; ++i) {
+        for (const Tensor& result : run(inputs, ports.outputs)) {
+          if (!all_finite(result)) throw_data_loss(path + ": the module answers with values that are not finite");
+        }
+      }
+      if (status.largest_batch == 1) break;
     }
   }
 };
@@ -178,6 +202,7 @@ Engine::Engine(const EngineOptions& options, const std::string& name) : state_(s
   State& s = *state_;
   const std::string path = bundle_path(options.folder, name);
   s.module = load_bundle(path, s.metadata);
+  s.ports = ports_of(s.metadata);
   s.module.eval();
 
   const bool cuda = options.use_cuda && torch::cuda::is_available();
@@ -197,11 +222,18 @@ Engine::Engine(const EngineOptions& options, const std::string& name) : state_(s
   s.status.kernels = "TorchScript";
   s.status.largest_batch = std::max(1, options.largest_batch);
 
-  if (!cuda && !options.torchscript) {
-    const cpu::Arrays arrays = arrays_of(s.module);
-    if (cpu::Executor::supports(s.metadata.architecture, arrays) && (!bfloat16 || cpu::has_bfloat16())) {
-      s.executor = std::make_unique<cpu::Executor>(s.metadata.architecture, arrays,
-                                                   cpu::ExecutorOptions{bfloat16, s.status.threads, false});
+  const bool registered = is_registered(s.metadata.architecture.kind);
+  if (!cuda && !options.torchscript && registered && (!bfloat16 || kernels::has_bfloat16())) {
+    const Description network = superres::describe(s.metadata.architecture, s.ports);
+    if (kernels::Executor::supports(network)) {
+      const auto values = std::make_shared<const std::map<std::string, std::vector<float>>>(values_of(s.module));
+      const auto find = [values](const std::string& parameter) -> std::span<const float> {
+        const auto found = values->find(parameter);
+        if (found == values->end()) return {};
+        return found->second;
+      };
+      s.executor = std::make_unique<kernels::Executor>(network, find,
+                                                       kernels::ExecutorOptions{bfloat16, s.status.threads, false});
       s.status.kernels = s.executor->kernels();
       s.module = {};
     }
@@ -218,22 +250,7 @@ Engine::Engine(const EngineOptions& options, const std::string& name) : state_(s
       throw_data_loss(path + ": can't be prepared: " + first_line(error.what()));
     }
   }
-  // The first inferences make buffers, and TorchScript optimises in its second; a batch of one must be as warm as a
-  // full one.
-  const int h = s.metadata.coarse_height, w = s.metadata.coarse_width;
-  for (const int batch : {1, s.executor ? 1 : s.status.largest_batch}) {
-    const auto input = torch::full({batch, kChannels, h, w}, 0.5);
-    for (int i = 0; i < 2; ++i) {
-      std::vector<std::vector<float>> results(static_cast<std::size_t>(batch));
-      s.run_batches(input, 0, batch, kChannels, results);
-      for (const auto& result : results) {
-        if (!std::all_of(result.begin(), result.end(), [](float v) { return std::isfinite(v); })) {
-          throw_data_loss(path + ": the module answers with values that are not finite");
-        }
-      }
-    }
-    if (s.status.largest_batch == 1) break;
-  }
+  s.warm_up(path);
 }
 
 Engine::~Engine() = default;
@@ -255,60 +272,66 @@ void Engine::require_topology(const std::string& topology_hash) const {
   }
 }
 
-std::vector<std::vector<float>> Engine::upscale(std::span<const std::span<const float>> images, int height, int width,
-                                                int channels) {
+std::shared_ptr<const Tensor> Engine::take_constants(Tensor constants) const {
+  const int expected = state_->metadata.constants;
+  const std::int64_t channels = constants.shape.empty() ? 0 : constants.shape[0];
+  if (channels != expected || (expected > 0 && constants.shape.size() != 3)) {
+    throw_invalid_argument("constants: " + std::to_string(channels) + " channels, the bundle reads " +
+                           std::to_string(expected));
+  }
+  if (expected == 0) return nullptr;
+  if (static_cast<std::int64_t>(constants.values.size()) != channels * constants.shape[1] * constants.shape[2]) {
+    throw_invalid_argument("constants: not as many values as the shape says");
+  }
+  if (!all_finite(constants)) throw_invalid_argument("constants: a value is not finite");
+  return std::make_shared<const Tensor>(std::move(constants));
+}
+
+void Engine::check(const NetworkInput& input) const {
+  const State& s = *state_;
+  const auto& shape = input.frames->shape;
+  const int channels = s.ports.inputs - s.metadata.constants;
+  if (shape.size() != 3 || shape[0] != channels) {
+    throw_invalid_argument("image: needs shape (" + std::to_string(channels) + ", h, w)");
+  }
+  const std::string size = std::to_string(shape[2]) + "x" + std::to_string(shape[1]);
+  if (shape[1] < 1 || shape[2] < 1 || shape[1] > kLargestSide || shape[2] > kLargestSide) {
+    throw_invalid_argument("image: " + size + " is no size");
+  }
+  const auto& image = std::get<GeometryImageSpec>(s.metadata.representation.kind).image;
+  const bool one_size = !s.metadata.topology_hash.empty() && image.coarse_width > 0;
+  if (one_size && (shape[1] != image.coarse_height || shape[2] != image.coarse_width)) {
+    throw_invalid_argument("image: " + size + ", the bundle serves its own mesh at " +
+                           std::to_string(image.coarse_width) + "x" + std::to_string(image.coarse_height));
+  }
+  if (static_cast<std::int64_t>(input.frames->values.size()) != shape[0] * shape[1] * shape[2]) {
+    throw_invalid_argument("image: needs " + std::to_string(shape[0] * shape[1] * shape[2]) + " values, has " +
+                           std::to_string(input.frames->values.size()));
+  }
+  if (!input.constants) {
+    if (s.metadata.constants > 0) throw_invalid_argument("constants: the bundle reads some, the session has none");
+  } else if (input.constants->shape[1] != shape[1] || input.constants->shape[2] != shape[2]) {
+    throw_invalid_argument("image: " + size + ", the session's constants have another size");
+  }
+}
+
+std::vector<Tensor> Engine::upscale(std::span<const NetworkInput> inputs, int channels) {
   State& s = *state_;
-  if (images.empty()) return {};
-  if (channels != 3 && channels != kChannels) throw_invalid_argument("fine image: 3 or 9 channels can be asked for");
-  if (height < 1 || width < 1 || height > 8192 || width > 8192) {
-    throw_invalid_argument("coarse image: " + std::to_string(width) + "x" + std::to_string(height) + " is no size");
+  if (inputs.empty()) return {};
+  if (channels < 0 || channels > s.ports.outputs) {
+    throw_invalid_argument("answer: at most " + std::to_string(s.ports.outputs) + " channels can be asked for");
   }
-  const bool one_size = needs_mesh(s.metadata.architecture);
-  if (one_size && (height != s.metadata.coarse_height || width != s.metadata.coarse_width)) {
-    throw_invalid_argument("coarse image: " + std::to_string(width) + "x" + std::to_string(height) +
-                           ", the bundle serves its own mesh at " + std::to_string(s.metadata.coarse_width) + "x" +
-                           std::to_string(s.metadata.coarse_height));
+  for (const NetworkInput& input : inputs) {
+    check(input);
+    if (input.frames->shape != inputs.front().frames->shape) throw_internal("a batch of images of several sizes");
+    if (!all_finite(*input.frames)) throw_invalid_argument("image: a value is not finite");
   }
-  const std::size_t texels = static_cast<std::size_t>(height) * static_cast<std::size_t>(width);
-  const std::size_t count = kChannels * texels;
-  const auto batch = static_cast<std::int64_t>(images.size());
-  const auto input = torch::empty({batch, kChannels, height, width}, torch::kFloat32);
-  float* target = input.data_ptr<float>();
-  for (const auto& image : images) {
-    if (image.size() != count) {
-      throw_invalid_argument("coarse image: needs " + std::to_string(count) + " values, has " +
-                             std::to_string(image.size()));
-    }
-    if (!std::all_of(image.begin(), image.end(), [](float v) { return std::isfinite(v); })) {
-      throw_invalid_argument("coarse image: a value is not finite");
-    }
-    std::memcpy(target, image.data(), count * sizeof(float));
-    target += count;
-  }
-  std::vector<std::vector<float>> results(images.size());
   const std::lock_guard lock(s.mutex);
-  s.run_batches(input, 0, batch, channels, results);
-  return results;
+  return s.run(inputs, channels == 0 ? s.ports.outputs : channels);
 }
 
-std::vector<float> Engine::upscale(std::span<const float> image, int height, int width, int channels) {
-  const std::span<const float> one[] = {image};
-  return std::move(upscale(std::span<const std::span<const float>>(one), height, width, channels).front());
-}
-
-Tensor Engine::upscale(const Tensor& image, int channels) {
-  if (image.shape.size() != 3 || image.shape[0] != kChannels ||
-      (!image.channels.empty() && image.channels != state_->metadata.channels)) {
-    throw_invalid_argument("coarse image: needs shape (9, h, w) with displacement, normal and velocity channels");
-  }
-  if (image.shape[1] < 1 || image.shape[1] > 8192 || image.shape[2] < 1 || image.shape[2] > 8192) {
-    throw_invalid_argument("coarse image: its height or width is no size");
-  }
-  Tensor result;
-  result.values = upscale(image.values, static_cast<int>(image.shape[1]), static_cast<int>(image.shape[2]), channels);
-  result.shape = {channels, image.shape[1] * kScale, image.shape[2] * kScale};
-  result.channels.assign(state_->metadata.channels.begin(), state_->metadata.channels.begin() + channels);
-  return result;
+Tensor Engine::upscale(const NetworkInput& input, int channels) {
+  return std::move(upscale(std::span<const NetworkInput>(&input, 1), channels).front());
 }
 
 }  // namespace pleat::superres

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "common/frame/frame.hpp"
-#include "services/superres/metadata.hpp"
+#include "services/superres/bundle/metadata.hpp"
 
 namespace pleat::superres {
 
@@ -44,21 +44,16 @@ struct EngineStatus {
   int largest_batch = 0;  ///< smaller than asked for if the device ran out of memory
 };
 
-/// Lists the bundles of a folder: names without ".pt", sorted. kNotFound if the folder does not exist.
-std::vector<std::string> list_bundles(const std::string& folder);
-
-/// The file of bundle `name` ("draping" or "draping.pt") in `folder`. kInvalidArgument for a name with a path in it or
-/// "..", or a link that leads outside; kNotFound if there is no such file.
-std::string bundle_path(const std::string& folder, const std::string& name);
-
-/// Reads the metadata only. Errors as metadata_from_json; kDataLoss for a truncated or unreadable archive,
-/// kInvalidArgument for a TorchScript file without pleat.json.
-Metadata read_metadata(const std::string& folder, const std::string& name);
+/// What a network reads.
+struct NetworkInput {
+  const Tensor* frames = nullptr;                ///< (T C, h, w): the window of a frame, normalised
+  std::shared_ptr<const Tensor> constants = {};  ///< (K, h, w) from Engine::take_constants(); null where K is 0
+};
 
 /// One bundle, ready to run. upscale() may be called from several threads; inferences run one at a time.
 class Engine {
  public:
-  /// Loads, converts, freezes and warms up. Errors as bundle_path and read_metadata; kFailedPrecondition if bfloat16 is
+  /// Loads, converts, freezes and warms up. Errors as bundle_path and load_bundle; kFailedPrecondition if bfloat16 is
   /// demanded and the processor or the bundle has none.
   Engine(const EngineOptions& options, const std::string& name);
   ~Engine();
@@ -72,17 +67,20 @@ class Engine {
   /// Throws kFailedPrecondition unless the bundle serves the coarse mesh with this topology_hash().
   void require_topology(const std::string& topology_hash) const;
 
-  /// images: N normalised coarse images, each (9, h, w) float32 row-major; returns N fine images, the first `channels`
-  /// (9, or 3: displacements alone take less time) of (9, 4h, 4w).
-  /// h and w are the bundle's or, for bundles that know no mesh (residual "mesh"), any size. kInvalidArgument for sizes
-  /// that don't fit or values that are not finite; kInternal if the module answers with another shape. If the device
-  /// runs out of memory, the batch is halved, here and from then on; kResourceExhausted if one image is too much.
-  std::vector<std::vector<float>> upscale(std::span<const std::span<const float>> images, int height, int width,
-                                          int channels = kChannels);
-  std::vector<float> upscale(std::span<const float> image, int height, int width, int channels = kChannels);
+  /// What a stream's networks read beside its frames. Throws kInvalidArgument unless there are as many channels as the
+  /// bundle says, all finite; null for none.
+  std::shared_ptr<const Tensor> take_constants(Tensor constants) const;
 
-  /// The same for a frame's tensor: shape (9, h, w) with the bundle's channel names.
-  Tensor upscale(const Tensor& image, int channels = kChannels);
+  /// Throws kInvalidArgument, naming what is wrong, unless a network could read this: shapes and counts of values.
+  void check(const NetworkInput& input) const;
+
+  /// inputs: of one shape (T C, h, w). Returns for each the first `channels` of the answer, (channels, H, W) without
+  /// names; 0: all. h and w are the bundle's or, for bundles that know no mesh (no topology_hash), any size.
+  /// kInvalidArgument for sizes that don't fit or values that are not finite; kInternal if the module answers with
+  /// another shape. If the device runs out of memory, the batch is halved, here and from then on; kResourceExhausted if
+  /// one input is too much.
+  std::vector<Tensor> upscale(std::span<const NetworkInput> inputs, int channels = 0);
+  Tensor upscale(const NetworkInput& input, int channels = 0);
 
  private:
   struct State;

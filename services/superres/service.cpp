@@ -1,5 +1,6 @@
 #include "services/superres/service.hpp"
 
+#include <google/protobuf/util/json_util.h>
 #include <sys/stat.h>
 
 #include <algorithm>
@@ -9,12 +10,14 @@
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
 #include "common/telemetry/log.hpp"
+#include "services/superres/bundle/folder.hpp"
 
 namespace pleat::superres {
 namespace {
 
 /// Frames of one stream in work at once: one is being answered while the next is read and checked.
 constexpr std::size_t kConcurrency = 2;
+constexpr int kPositionChannels = 3;  ///< the first ones, which are all that positions need
 
 std::string without_extension(const std::string& name) {
   return name.size() > 3 && name.ends_with(".pt") ? name.substr(0, name.size() - 3) : name;
@@ -89,14 +92,10 @@ void SuperResolutionService::describe(const std::string& name, const Metadata& m
   message->set_model(name);
   message->set_architecture(metadata.architecture.kind);
   message->set_parameters(static_cast<std::uint64_t>(std::max<std::int64_t>(0, metadata.parameters)));
-  message->set_scale(static_cast<std::uint32_t>(metadata.scale));
-  for (const auto& channel : metadata.channels) message->add_channels(channel);
-  for (std::size_t c = 0; c < kChannels; ++c) {
-    message->mutable_normalization()->add_minimum(metadata.normalization.minimum[c]);
-    message->mutable_normalization()->add_maximum(metadata.normalization.maximum[c]);
-  }
-  message->set_coarse_width(static_cast<std::uint32_t>(metadata.coarse_width));
-  message->set_coarse_height(static_cast<std::uint32_t>(metadata.coarse_height));
+  const auto parsed =
+      google::protobuf::util::JsonStringToMessage(representation_json(metadata), message->mutable_representation());
+  if (!parsed.ok()) throw_internal("bundle " + name + ": representation: " + parsed.ToString());
+  message->set_constant_channels(static_cast<std::uint32_t>(metadata.constants));
   message->set_topology_hash(metadata.topology_hash);
   message->set_git_revision(metadata.git_revision);
   message->set_metadata_json(to_json(metadata));
@@ -142,15 +141,20 @@ grpc::Status SuperResolutionService::Upscale(
         describe(without_extension(open.model().empty() ? options_.model : open.model()), loaded->engine().describe(),
                  opened);
         auto session = loaded->open_session();
-        return [loaded, session, channels = open.displacement_only() ? 3 : kChannels](const v1::ImageFrame& request,
-                                                                                      v1::ImageFrame* response) {
-          const Tensor image = loaded->submit(from_message(request.image(), "frame.image"), channels).get();
+        const auto constants = loaded->engine().take_constants(
+            open.constants().shape_size() > 0 ? from_message(open.constants(), "open.constants") : Tensor{});
+        const int channels = open.displacement_only() ? kPositionChannels : 0;
+        return [loaded, session, constants, channels, dtype = open.dtype()](const v1::ImageFrame& request,
+                                                                            v1::ImageFrame* response) {
+          Tensor frames;
+          from_payload(request.image(), "frame.image", &frames);
+          const Tensor answer = loaded->submit(std::move(frames), constants, channels).get();
           response->set_index(request.index());
           response->set_time_s(request.time_s());
           *response->mutable_alignment() = request.alignment();
           *response->mutable_stage_times() = request.stage_times();
           response->set_out_of_range(request.out_of_range());
-          to_message(image, response->mutable_image());
+          to_payload(answer, dtype, response->mutable_image());
         };
       });
 }

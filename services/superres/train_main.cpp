@@ -33,7 +33,9 @@ int main(int argc, char** argv) {
       "Exit codes: 0 done, 1 failed, 2 wrong usage or input.");
   pleat::superres::TrainArguments arguments;
   bool strict = false;
-  app.add_option("config", arguments.config, "JSON file")->required();
+  app.add_option("config", arguments.config, "JSON file");
+  app.add_option("--re-export", arguments.re_export, "OLD.pt: a bundle of an earlier version, written anew to --out");
+  app.add_option("--out", arguments.out, "NEW.pt");
   app.add_option("--set", arguments.changes, "KEY=VALUE: changes a key, for example losses.normal=0; may be repeated")
       ->allow_extra_args(false);
   app.add_flag("--strict", strict, "a sequence that can't be used is an error, not a warning");

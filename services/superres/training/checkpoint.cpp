@@ -7,7 +7,6 @@
 
 #include "common/base/error.hpp"
 #include "common/base/whole_file.hpp"
-#include "services/superres/bundle.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -88,10 +87,6 @@ void save_checkpoint(const std::string& path, const std::string& config_json, co
     archive.write("second_" + name, adam.second[i]);
     archive.write("average_" + name, adam.average[i]);
   }
-  for (const auto& [name, value] : network.buffers()) {
-    // The mesh's constants follow from the data set.
-    if (name.rfind("base_", 0) != 0) archive.write("buffer_" + name, value);
-  }
   std::string bytes;
   archive.save_to([&bytes](const void* data, std::size_t size) {
     bytes.append(static_cast<const char*>(data), size);
@@ -133,9 +128,6 @@ void load_checkpoint(const std::string& path, const std::string& config_json, Ne
     loaded.tensor("first_" + name, adam.first[i]);
     loaded.tensor("second_" + name, adam.second[i]);
     loaded.tensor("average_" + name, adam.average[i]);
-  }
-  for (auto [name, value] : network.buffers()) {
-    if (name.rfind("base_", 0) != 0) loaded.tensor("buffer_" + name, value);
   }
 }
 

@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "services/superres/network.hpp"
+#include "services/superres/networks/network.hpp"
 #include "services/superres/training/adam.hpp"
 
 namespace pleat::superres {

@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "services/conversion/representation.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -22,18 +23,11 @@ void visit(Visitor& v, Config& c) {
   v.value("dataset", c.dataset);
   v.value("output", c.output);
   v.value("seed", c.seed);
-  v.section("architecture", [&] {
-    v.choice("kind", c.architecture.kind, {"mfsr", "srresnet", "chen2018"});
-    v.value("blocks", c.architecture.blocks);
-    v.value("layers", c.architecture.layers);
-    v.value("growth", c.architecture.growth);
-    v.value("features", c.architecture.features);
-    v.value("upsampling", c.architecture.upsampling);
-    v.choice("residual", c.architecture.residual, {"none", "bilinear", "mesh"});
-    v.choice("axes", c.architecture.axes, {"aligned", "local"});
-    v.value("conditioned", c.architecture.conditioned);
-  });
+  v.architecture("architecture", c.architecture);
   v.section("images", [&] {
+    v.choice("layout", c.images.layout, {"published", "detail", "positions"});
+    v.choice("base", c.images.base, {"vertices", "texels"});
+    v.range("scale", c.images.scale, 1, 16);
     v.range("coarse_width", c.images.coarse_width, 0, 2048);
     v.range("coarse_height", c.images.coarse_height, 0, 2048);
     v.range("texels_per_fine_vertex", c.images.texels_per_fine_vertex, 0.5, 100);
@@ -75,6 +69,7 @@ void visit(Visitor& v, Config& c) {
     v.range("every_frames", c.validation.every_frames, 1, 1000000);
     v.range("every_epochs", c.validation.every_epochs, 1, 1000000);
   });
+  v.range("window", c.window, 1, kMaxWindow);
   v.range("epochs", c.epochs, 1, 1000000);
   v.range("batch", c.batch, 1, 4096);
   v.range("micro_batch", c.micro_batch, 0, 4096);
@@ -151,6 +146,29 @@ class Reader {
     std::swap(current_, inner);
   }
 
+  /// Every kind of network has options of its own, which the registry knows.
+  void architecture(const char* key, Architecture& target) {
+    const auto it = current_.find(key);
+    if (it == current_.end()) {
+      target = complete(target);
+      return;
+    }
+    if (!it->is_object()) throw_invalid_argument(source_ + ": key '" + std::string(key) + "' must be an object");
+    json options = *it;
+    current_.erase(key);
+    if (const auto kind = options.find("kind"); kind != options.end()) {
+      if (!kind->is_string()) throw_invalid_argument(source_ + ": key 'architecture.kind' has the wrong type");
+      target.kind = kind->get<std::string>();
+      options.erase("kind");
+    }
+    target.options = options.dump();
+    try {
+      target = complete(target);
+    } catch (const Error& error) {
+      throw_invalid_argument(source_ + ": " + error.what());
+    }
+  }
+
   void finish() const {
     if (!current_.empty()) {
       throw_invalid_argument(source_ + ": unknown key '" + prefix_ + current_.begin().key() + "'");
@@ -173,6 +191,11 @@ class Writer {
     value(key, source);
   }
   void choice(const char* key, const std::string& source, std::initializer_list<const char*>) { value(key, source); }
+  void architecture(const char* key, const Architecture& source) {
+    json options = json::parse(source.options);
+    options["kind"] = source.kind;
+    value(key, options);
+  }
   void section(const char* key, const std::function<void()>& body) {
     current_ = &document[key];
     body();
@@ -212,11 +235,8 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   if ((config.images.coarse_width == 0) != (config.images.coarse_height == 0)) {
     throw_invalid_argument(source + ": keys 'images.coarse_width' and 'images.coarse_height' go together");
   }
-  if (config.architecture.axes == "local" && config.patch != 0) {
-    throw_invalid_argument(source + ": key 'architecture.axes' = 'local' needs whole images, 'patch' = 0");
-  }
-  if (config.architecture.kind == "chen2018" && config.patch != 0) {
-    throw_invalid_argument(source + ": key 'architecture.kind' = 'chen2018' needs whole images, 'patch' = 0");
+  if (config.images.layout != "published" && config.losses.kinematic > 0) {
+    throw_invalid_argument(source + ": key 'losses.kinematic' needs velocities, 'images.layout' = 'published'");
   }
   if (config.losses.needs_vertices() && config.patch != 0) {
     throw_invalid_argument(source + ": keys 'losses.vertices', '.vertex_normals' and '.edges' need whole images, " +
@@ -225,7 +245,6 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   if (config.every_frames > 1 && config.losses.kinematic > 0) {
     throw_invalid_argument(source + ": key 'losses.kinematic' needs consecutive frames, 'every_frames' = 1");
   }
-  validate(config.architecture);
   return config;
 }
 

@@ -5,12 +5,16 @@
 #include <string>
 #include <vector>
 
-#include "services/superres/metadata.hpp"
+#include "services/superres/networks/registry.hpp"
 
 namespace pleat::superres {
 
+/// How conversion makes a geometry image (docs/conversion.md).
 struct ImagesConfig {
+  std::string layout = "published";         ///< "published", "detail" or "positions"
+  std::string base = "vertices";            ///< of "detail": where it is added, at "vertices" or "texels"
   int coarse_width = 0, coarse_height = 0;  ///< texels; 0: chosen from texels_per_fine_vertex
+  int scale = 4;                            ///< answers are that many times as high and wide
   double texels_per_fine_vertex = 3;
   std::string method = "fitted";  ///< "fitted" or "sampled" fine images
   double lambda = 1e-4;           ///< smoothness of fitted images
@@ -60,6 +64,7 @@ struct TrainConfig {
   std::uint64_t seed = 1;
   Architecture architecture;
   ImagesConfig images;
+  int window = 1;  ///< frames that the network reads at once
   LossConfig losses;
   OptimizerConfig optimizer;
   ScheduleConfig schedule;
@@ -73,7 +78,7 @@ struct TrainConfig {
   std::string precision = "float32";  ///< of the body: "float32" or "bfloat16"
   std::string kernels = "own";   ///< on the CPU: "own" convolutions (services/superres/cpu), or those of "libtorch"
   std::string device = "auto";   ///< "auto", "cpu" or "cuda"
-  std::string cache = "uint16";  ///< images in memory: "uint16" (fixed point, 3e-5 of the range) or "float32"
+  std::string cache = "uint16";  ///< answers in memory: "uint16" (fixed point) or "float32"
   std::string cache_folder;      ///< files of the images, which are mapped into memory; empty: DATASET/images
   int cache_limit_mb = 32768;    ///< of them together
   bool strict = false;           ///< sequences that can't be used are an error, not a warning

@@ -14,8 +14,10 @@ torch::Tensor rotate_back(const torch::Tensor& vectors, const torch::Tensor& rot
 
 /// Mean extent of three channels, in physical units; what interpolation lacks of it with scaling "deviation".
 torch::Tensor mean_range(int first, const LossConstants& constants, const LossConfig& config) {
+  // Without normals of their own, those of the mesh count as they are.
+  if (first + 3 > constants.scale.size(0)) return torch::ones({}, constants.scale.options());
   const auto channels = Slice(first, first + 3);
-  const auto range = constants.range.index({channels});
+  const auto range = constants.scale.index({channels});
   return config.scaling == "deviation" ? (range * constants.deviation.index({channels})).mean() : range.mean();
 }
 
@@ -24,14 +26,14 @@ torch::Tensor kinematic_loss(const torch::Tensor& synthesized, const Batch& batc
   const std::int64_t frames = batch.frames, windows = synthesized.size(0) / frames;
   const auto shape = [&](const torch::Tensor& t, int first) {
     const auto channels = Slice(first, first + 3);
-    const auto minimum = constants.minimum.index({channels}).view({1, 3, 1, 1});
-    const auto range = constants.range.index({channels}).view({1, 3, 1, 1});
+    const auto minimum = constants.offset.index({channels}).view({1, 3, 1, 1});
+    const auto range = constants.scale.index({channels}).view({1, 3, 1, 1});
     const auto part = t.index({Slice(), channels}) * range + minimum;
     return part.view({windows, frames, 3, t.size(2), t.size(3)});
   };
   const bool exact = config.alignment == "exact";
   torch::Tensor d = shape(synthesized, 0), v = shape(synthesized, 6);
-  const torch::Tensor true_d = shape(batch.fine, 0), true_v = shape(batch.fine, 6);
+  const torch::Tensor true_d = shape(batch.answer, 0), true_v = shape(batch.answer, 6);
   torch::Tensor target = config.target == "ground_truth" ? true_d : d;
   if (exact) {
     // The simulated frames satisfy the relation exactly, so the errors alone have to; the rest positions and
@@ -50,11 +52,19 @@ torch::Tensor kinematic_loss(const torch::Tensor& synthesized, const Batch& batc
   return (residual / mean_range(0, constants, config)).square().mul(mask).sum() / (mask.sum() * 3);
 }
 
-/// Channels of one feature (N, 3, H, W) at the vertices, (N, 3, V).
-torch::Tensor read_vertices(const torch::Tensor& values, const Batch& batch, const LossConstants& constants) {
+/// Vectors (N, 3, H, W) in the alignment's axes at the vertices, (N, 3, V).
+torch::Tensor read_vertices(const torch::Tensor& values, const LossConstants& constants) {
   const std::int64_t images = values.size(0), reads = constants.vertex_weights.size(0);
-  const auto places = batch.vertex_texels.unsqueeze(1).expand({images, 3, -1});
+  const auto places = constants.vertex_texels.expand({images, 3, -1});
   return (values.flatten(2).gather(2, places).view({images, 3, reads, -1}) * constants.vertex_weights).sum(2);
+}
+
+/// Vectors in the cloth's own axes -> in the alignment's. axes: (N, 9, h, w), enlarged bilinearly.
+torch::Tensor turned(const torch::Tensor& vectors, const torch::Tensor& axes) {
+  if (!axes.defined()) return vectors;
+  const auto fine = torch::upsample_bilinear2d(axes, {vectors.size(2), vectors.size(3)}, false);
+  return vectors.slice(1, 0, 1) * fine.slice(1, 0, 3) + vectors.slice(1, 1, 2) * fine.slice(1, 3, 6) +
+         vectors.slice(1, 2, 3) * fine.slice(1, 6, 9);
 }
 
 /// Values (N, 3, V) at vertex `row` of each face or edge, (N, 3, F).
@@ -80,17 +90,18 @@ torch::Tensor edge_lengths(const torch::Tensor& positions, const torch::Tensor& 
 void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const Batch& batch,
                        const LossConstants& constants, const LossConfig& config) {
   const auto channels = Slice(0, 3);
-  const auto range = constants.range.index({channels}).view({1, 3, 1, 1});
-  const auto minimum = constants.minimum.index({channels}).view({1, 3, 1, 1});
+  const auto range = constants.scale.index({channels}).view({1, 3, 1, 1});
+  const auto minimum = constants.offset.index({channels}).view({1, 3, 1, 1});
   const auto images = [&](const torch::Tensor& t) { return t.index({Slice(), channels}); };
   // The error is read alone: it is small beside the displacements, which float32 would round.
-  const auto error = read_vertices((images(synthesized) - images(batch.fine)) * range, batch, constants);
+  const auto error = read_vertices(turned((images(synthesized) - images(batch.answer)) * range, batch.axes), constants);
   if (config.vertices > 0) {
     losses.vertices = (error / mean_range(0, constants, config)).square().mean();
     losses.total = losses.total + config.vertices * losses.vertices;
   }
   if (config.vertex_normals <= 0 && config.edges <= 0) return;
-  const auto truth = batch.vertex_rest + read_vertices(images(batch.fine) * range + minimum, batch, constants);
+  const auto truth =
+      batch.vertex_base + read_vertices(turned(images(batch.answer) * range + minimum, batch.axes), constants);
   const auto answer = truth + error;
   if (config.vertex_normals > 0) {
     const auto difference = mesh_normals(answer, constants.faces) - mesh_normals(truth, constants.faces);
@@ -106,8 +117,15 @@ void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const B
 
 }  // namespace
 
+void Batch::to(torch::Device device) {
+  for (auto* t : {&input, &answer, &mask, &rotations, &vertex_base, &axes}) {
+    if (t->defined()) *t = t->to(device);
+  }
+}
+
 void LossConstants::set_vertices(const MeshRead& read, const torch::Device& device) {
   const std::int64_t vertices = read.vertex_count();
+  vertex_texels = torch::tensor(read.texels, torch::kInt64).to(device);
   vertex_weights = torch::tensor(read.weights).view({-1, vertices}).to(device);
   faces = torch::tensor(read.faces, torch::kInt64).view({3, -1}).to(device);
   edges = torch::tensor(read.edges, torch::kInt64).view({2, -1}).to(device);
@@ -117,18 +135,21 @@ void LossConstants::set_vertices(const MeshRead& read, const torch::Device& devi
 
 Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, const LossConstants& constants,
                       const LossConfig& config) {
-  auto error = (synthesized - batch.fine).square();
-  if (config.scaling == "deviation") error = error / constants.deviation.square().view({1, 9, 1, 1});
+  auto error = (synthesized - batch.answer).square();
+  if (config.scaling == "deviation") error = error / constants.deviation.square().view({1, -1, 1, 1});
   error = error * batch.mask;
   const auto texels = batch.mask.sum() * 3;
-  const auto part = [&](int first) { return error.index({Slice(), Slice(first, first + 3)}).sum() / texels; };
+  const auto part = [&](int first) {
+    return first < error.size(1) ? error.index({Slice(), Slice(first, first + 3)}).sum() / texels
+                                 : torch::zeros({}, error.options());
+  };
   Losses losses;
   losses.displacement = part(0);
   losses.normal = part(3);
   losses.velocity = part(6);
   losses.total =
       config.displacement * losses.displacement + config.normal * losses.normal + config.velocity * losses.velocity;
-  if (batch.frames > 1 && config.kinematic > 0) {
+  if (batch.frames > 1 && config.kinematic > 0 && synthesized.size(1) >= 9) {
     losses.kinematic = kinematic_loss(synthesized, batch, constants, config);
     losses.total = losses.total + config.kinematic * losses.kinematic;
   } else {

@@ -10,23 +10,25 @@ namespace pleat::superres {
 
 /// One batch: B windows of F consecutive frames, flattened to N = B F images, window by window.
 struct Batch {
-  torch::Tensor coarse;           ///< (N, 9, h, w) normalised
-  torch::Tensor fine;             ///< (N, 9, 4h, 4w) normalised
-  torch::Tensor mask;             ///< (N, 1, 4h, 4w): 1 where a texel is valid
-  torch::Tensor base, structure;  ///< residual "mesh": (N, 9, 4h, 4w) and (N, 32, h, w), else undefined
-  torch::Tensor rotations;        ///< (N, 3, 3): rigid alignment of each frame, world to rest
-  /// For losses on vertices, else undefined: (N, K V) int64, the texels that are read in each, perhaps mirrored, image,
-  /// and (N, 3, V) the rest positions, mirrored as its vectors are.
-  torch::Tensor vertex_texels, vertex_rest;
+  torch::Tensor input;                 ///< (N, T C + K, h, w) normalised, perhaps mirrored
+  torch::Tensor answer;                ///< (N, C, H, W) normalised, never mirrored
+  torch::Tensor mask;                  ///< (N, 1, H, W): 1 where a texel is valid
+  torch::Tensor rotations;             ///< (N, 3, 3): rigid alignment of each frame, world to rest
+  std::vector<std::uint64_t> mirrors;  ///< (N): how each input is mirrored
+  /// For losses on vertices, else undefined: (N, 3, V) the fine mesh without the answer's part, and (N, 9, h, w) the
+  /// axes of the answer's vectors, undefined if they are the alignment's.
+  torch::Tensor vertex_base, axes;
   int frames = 1;  ///< F
+
+  void to(torch::Device device);
 };
 
 /// What the losses need to know of the data.
 struct LossConstants {
-  torch::Tensor minimum;    ///< (9): of the normalisation
-  torch::Tensor range;      ///< (9): its maximum - minimum
-  torch::Tensor deviation;  ///< (9): of fine minus upsampled coarse, normalised; for LossConfig::scaling
+  torch::Tensor offset, scale;  ///< (C): of the answer's ranges
+  torch::Tensor deviation;      ///< (C): of what interpolation lacks, normalised; for LossConfig::scaling
   double frame_time_s = 0;
+  torch::Tensor vertex_texels;   ///< (K V) int64
   torch::Tensor vertex_weights;  ///< (K, V)
   torch::Tensor faces, edges;    ///< (3, F) and (2, E) int64
   torch::Tensor edge_lengths;    ///< (E): of the rest mesh, metres
@@ -35,13 +37,14 @@ struct LossConstants {
   void set_vertices(const MeshRead& read, const torch::Device& device);
 };
 
-/// Each is the mean over valid texels and channels, or over vertices or edges, unweighted; total is their weighted sum
-/// (eq. 6).
+/// Each is the mean over valid texels and channels (0 where the answer has no such channels), or over vertices or
+/// edges, unweighted; total is their weighted sum (eq. 6).
 struct Losses {
   torch::Tensor displacement, normal, velocity, kinematic, vertices, vertex_normals, edges, total;
 };
 
-/// synthesized: (N, 9, 4h, 4w), the network's answer to batch.coarse.
+/// synthesized: (N, C, H, W), the network's answer to batch.input, not mirrored: displacements in the first three
+/// channels, and if there are nine, normals and velocities.
 /// Eq. 2-4 compare normalised values. Eq. 5 needs metres: values are denormalised, and the residual is divided by the
 /// mean displacement range (with scaling "deviation" by the mean deviation in metres), so that its scale is that of
 /// eq. 2. With backward velocities it reads, for k = 1..n,
@@ -50,7 +53,7 @@ struct Losses {
 /// themselves ("shared", as published; it ignores that the alignment takes the rigid motion out of d but not out of v).
 /// With target "ground_truth" d_k is the simulated one. No kinematic loss for F = 1 or weight 0.
 ///
-/// The losses on vertices (0 where their weight is) read both images as the conversion does: x = rest + sum_k w_k d_k
+/// The losses on vertices (0 where their weight is) read both images as the conversion does: x = base + sum_k w_k d_k
 /// in metres, in the frame of the alignment. Means over all images and V vertices or E edges, L_c the mean range of the
 /// three displacement (c = d) or normal (c = n) channels, times their deviation with scaling "deviation":
 ///   vertices        mean |x^s - x^h|^2 / (3 L_d^2)                          (as eq. 2, but what VMSE measures)

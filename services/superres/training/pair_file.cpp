@@ -15,28 +15,32 @@
 namespace pleat::superres {
 namespace {
 
-constexpr char kMagic[16] = "pleat.pairs.v1";
+constexpr char kMagic[16] = "pleat.pairs.v2";
 
 struct Header {
   char magic[16];
   std::uint64_t content, frames;
-  std::int32_t coarse_height, coarse_width, fixed_point, reserved;
+  std::int32_t input_channels, answer_channels, height, width, scale, reserved;
+  FixedPoint fixed_point;
 };
+
+ImageStore inputs_of(const PairFileKey& key) { return {key.input_channels, key.height, key.width, {}}; }
+ImageStore answers_of(const PairFileKey& key) {
+  return {key.answer_channels, key.scale * key.height, key.scale * key.width, key.fixed_point};
+}
 
 /// Where things lie in a file, in bytes.
 struct Layout {
-  std::size_t coarse_image, fine_image;  ///< of one
-  std::size_t rotations, coarse, fine, end;
+  std::size_t input_image, answer_image;  ///< of one
+  std::size_t rotations, inputs, answers, end;
 
-  explicit Layout(const PairFileKey& key) {
-    const std::size_t texels = static_cast<std::size_t>(key.coarse_height) * static_cast<std::size_t>(key.coarse_width);
+  explicit Layout(const PairFileKey& key)
+      : input_image(inputs_of(key).image_bytes()), answer_image(answers_of(key).image_bytes()) {
     const auto frames = static_cast<std::size_t>(key.frames);
-    coarse_image = kChannels * texels * sizeof(float);
-    fine_image = kChannels * kScale * kScale * texels * (key.fixed_point ? sizeof(std::uint16_t) : sizeof(float));
     rotations = sizeof(Header);
-    coarse = rotations + frames * 9 * sizeof(float);
-    fine = coarse + frames * coarse_image;
-    end = fine + frames * fine_image;
+    inputs = rotations + frames * 9 * sizeof(float);
+    answers = inputs + frames * input_image;
+    end = answers + frames * answer_image;
   }
 };
 
@@ -44,8 +48,9 @@ Header header_of(const PairFileKey& key) {
   Header header{};
   std::memcpy(header.magic, kMagic, sizeof kMagic);
   header.content = key.content, header.frames = key.frames;
-  header.coarse_height = key.coarse_height, header.coarse_width = key.coarse_width;
-  header.fixed_point = key.fixed_point ? 1 : 0;
+  header.input_channels = key.input_channels, header.answer_channels = key.answer_channels;
+  header.height = key.height, header.width = key.width, header.scale = key.scale;
+  header.fixed_point = key.fixed_point;
   return header;
 }
 
@@ -79,15 +84,15 @@ void PairFileWriter::write(const void* data, std::size_t bytes, std::size_t offs
   }
 }
 
-void PairFileWriter::append(std::span<const float> coarse, std::span<const float> fine,
+void PairFileWriter::append(std::span<const float> input, std::span<const float> answer,
                             const std::array<float, 9>& rotation) {
   const Layout layout(key_);
-  if (count_ >= key_.frames || coarse.size_bytes() != layout.coarse_image) throw_internal("pair file: another size");
-  ImageStore store(kScale * key_.coarse_height, kScale * key_.coarse_width, key_.fixed_point);
-  store.append(fine);
+  if (count_ >= key_.frames || input.size_bytes() != layout.input_image) throw_internal("pair file: another size");
+  ImageStore store = answers_of(key_);
+  store.append(answer);
   write(rotation.data(), sizeof rotation, layout.rotations + count_ * sizeof rotation);
-  write(coarse.data(), coarse.size_bytes(), layout.coarse + count_ * layout.coarse_image);
-  write(store.data(), layout.fine_image, layout.fine + count_ * layout.fine_image);
+  write(input.data(), input.size_bytes(), layout.inputs + count_ * layout.input_image);
+  write(store.data(), layout.answer_image, layout.answers + count_ * layout.answer_image);
   ++count_;
 }
 
@@ -115,10 +120,10 @@ bool map_pair_file(const std::filesystem::path& path, const PairFileKey& key, Pa
   const auto frames = static_cast<std::size_t>(key.frames);
   sequence.rotations.resize(frames);
   std::memcpy(sequence.rotations.data(), owner.get() + layout.rotations, frames * 9 * sizeof(float));
-  sequence.coarse =
-      ImageStore(key.coarse_height, key.coarse_width, false, frames, {owner, owner.get() + layout.coarse});
-  sequence.fine = ImageStore(kScale * key.coarse_height, kScale * key.coarse_width, key.fixed_point, frames,
-                             {owner, owner.get() + layout.fine});
+  sequence.input =
+      ImageStore(key.input_channels, key.height, key.width, {}, frames, {owner, owner.get() + layout.inputs});
+  sequence.answer = ImageStore(key.answer_channels, key.scale * key.height, key.scale * key.width, key.fixed_point,
+                               frames, {owner, owner.get() + layout.answers});
   return true;
 }
 

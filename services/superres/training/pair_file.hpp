@@ -16,8 +16,9 @@ namespace pleat::superres {
 struct PairFileKey {
   std::uint64_t content = 0;  ///< hash of everything that decides the images
   std::uint64_t frames = 0;
-  int coarse_height = 0, coarse_width = 0;  ///< texels; fine images have kScale times as many in both directions
-  bool fixed_point = true;                  ///< of the fine images; coarse ones are float32
+  int input_channels = 0, answer_channels = 0;
+  int height = 0, width = 0, scale = 0;  ///< of the inputs, in texels; answers are `scale` times as high and wide
+  FixedPoint fixed_point;                ///< of the answers; inputs are float32
 };
 
 /// Writes PATH.partial, then renames it. All throw kResourceExhausted naming the file if the disk is full.
@@ -28,8 +29,8 @@ class PairFileWriter {
   PairFileWriter(const PairFileWriter&) = delete;
   PairFileWriter& operator=(const PairFileWriter&) = delete;
 
-  /// The next frame: coarse (9, h, w), fine (9, 4h, 4w), rotation row-major.
-  void append(std::span<const float> coarse, std::span<const float> fine, const std::array<float, 9>& rotation);
+  /// The next frame: input (C, h, w), answer (C', H, W), rotation row-major.
+  void append(std::span<const float> input, std::span<const float> answer, const std::array<float, 9>& rotation);
   /// Needs all frames.
   void finish();
 

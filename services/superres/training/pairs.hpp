@@ -1,4 +1,4 @@
-// Pairs of coarse and fine images in memory: what training reads.
+// Pairs of what a network reads and what it should answer, in memory: what training reads.
 #pragma once
 
 #include <array>
@@ -10,50 +10,67 @@
 #include <string>
 #include <vector>
 
-#include "services/superres/mesh_base.hpp"
-#include "services/superres/metadata.hpp"
+#include "common/features/channel_ranges.hpp"
+#include "services/conversion/representation.hpp"
 #include "services/superres/training/config.hpp"
 
 namespace pleat::superres {
 
-/// Images (9, h, w) of equal size, kept as float32 or as 16-bit fixed point over [-0.5, 1.5): a step of 3e-5, an RMS
-/// error of 9e-6 (100 dB), where half precision would have 2e-4 near 1. Values beyond are clamped. Either it owns them,
-/// or it reads them where somebody else keeps them.
+/// Values as 16-bit fixed point over [low, low + span); those beyond are cut off.
+struct FixedPoint {
+  float low = 0, span = 0;  ///< span 0: float32 instead
+  bool used() const { return span > 0; }
+  bool holds(float value) const { return !used() || (value >= low && value < low + span); }
+  bool operator==(const FixedPoint&) const = default;
+};
+
+/// Of values that are mostly in [0, 1]: a step of 3e-5, an RMS error of 9e-6 (100 dB), where half precision would have
+/// 2e-4 near 1.
+inline constexpr FixedPoint kUnitRange{-0.5F, 2};
+/// Of values whose deviation is 1: a step of 1e-3.
+inline constexpr FixedPoint kUnitDeviation{-32, 64};
+
+/// Images (C, h, w) of equal shape. Either it owns them, or it reads them where somebody else keeps them.
 class ImageStore {
  public:
   ImageStore() = default;
-  ImageStore(int height, int width, bool fixed_point) : height_(height), width_(width), fixed_point_(fixed_point) {}
+  ImageStore(int channels, int height, int width, FixedPoint fixed)
+      : channels_(channels), height_(height), width_(width), fixed_point_(fixed) {}
 
   /// `count` images that lie at `images`.
-  ImageStore(int height, int width, bool fixed_point, std::size_t count, std::shared_ptr<const char> images)
-      : height_(height), width_(width), fixed_point_(fixed_point), count_(count), mapped_(std::move(images)) {}
+  ImageStore(int channels, int height, int width, FixedPoint fixed, std::size_t count,
+             std::shared_ptr<const char> images)
+      : ImageStore(channels, height, width, fixed) {
+    count_ = count, mapped_ = std::move(images);
+  }
 
   /// Only if it owns its images.
   void append(std::span<const float> image);
-  /// Copies the window of `height` x `width` texels from (row, column) of every channel to target (9, height, width).
+  /// Copies the window of `height` x `width` texels from (row, column) of every channel to target (C, height, width).
   void read(std::size_t index, int row, int column, int height, int width, float* target) const;
   std::size_t size() const { return count_; }
+  int channels() const { return channels_; }
   int height() const { return height_; }
   int width() const { return width_; }
-  std::size_t bytes() const { return count_ * image_values() * (fixed_point_ ? 2 : 4); }
+  /// Of one image.
+  std::size_t image_bytes() const { return image_values() * (fixed_point_.used() ? 2 : 4); }
   const void* data() const;
-  void reserve(std::size_t images);
 
  private:
-  int height_ = 0, width_ = 0;
-  bool fixed_point_ = false;
-  std::size_t count_ = 0;
   std::size_t image_values() const {
-    return kChannels * static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
+    return static_cast<std::size_t>(channels_) * static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
   }
+  int channels_ = 0, height_ = 0, width_ = 0;
+  FixedPoint fixed_point_;
+  std::size_t count_ = 0;
   std::vector<std::uint16_t> fixed_;
   std::vector<float> float_;
   std::shared_ptr<const char> mapped_;
 };
 
-/// The fine mesh as a function of the fine image: what the conversion reads to make a mesh of it.
+/// The fine mesh as a function of an answer: what the conversion reads to make a mesh of it.
 struct MeshRead {
-  std::vector<std::int64_t> texels;  ///< (K x V): row-major places in the image; weight 0 where a vertex has fewer
+  std::vector<std::int64_t> texels;  ///< (K x V): row-major places in the answer; weight 0 where a vertex has fewer
   std::vector<float> weights;        ///< (K x V): the vertex's displacement is the weighted sum of those texels
   std::vector<float> rest;           ///< (3 x V): rest positions, metres
   std::vector<std::int64_t> faces;   ///< (3 x F)
@@ -66,43 +83,58 @@ struct MeshRead {
 struct PairSequence {
   std::string name;
   bool validation = false;
-  ImageStore coarse, fine;                      ///< normalised, one image a frame; coarse ones are kept exactly
+  ImageStore input, answer;                     ///< normalised, one image a frame; inputs are kept exactly
   std::vector<std::array<float, 9>> rotations;  ///< of the rigid alignment (world to rest), row-major, per frame
+};
+
+/// What losses on vertices need of a frame, for representations in which it is not the same for all.
+class FrameGeometry {
+ public:
+  virtual ~FrameGeometry() = default;
+  /// The axes of the answer's vectors at each place of the input (9, h, w).
+  virtual void axes(std::size_t sequence, std::size_t frame, Tensor& axes) const = 0;
+  /// The fine mesh that an answer of zeros means, in the alignment's axes (V x 3).
+  virtual void base(std::size_t sequence, std::size_t frame, Positions& positions) const = 0;
 };
 
 /// Data set as images.
 struct PairData {
   std::vector<PairSequence> sequences;
-  std::vector<std::uint8_t> fine_mask;  ///< (H W): 1 where a texel holds a value of its own
-  Normalization normalization;
+  std::vector<std::uint8_t> answer_mask;  ///< (H W): 1 where a texel holds a value of its own
+  RepresentationSpec representation;
+  ChannelRanges input_ranges, output_ranges;                 ///< of one frame, and of an answer
+  std::vector<std::string> input_channels, answer_channels;  ///< the same: names
+  Tensor constants;                                          ///< (K, h, w), or without a shape
   double frame_time_s = 0;
-  std::string topology_hash;  ///< of the coarse mesh
-  std::string image_spec = "{}";
-  std::string description = "{}";  ///< JSON about the data set, for the bundle
-  MeshBase mesh_base;              ///< for networks that need the mesh, else empty
-  MeshRead mesh_read;              ///< for losses on vertices, else empty
+  std::string topology_hash;                ///< of the coarse mesh
+  std::string description = "{}";           ///< JSON about the data set, for the bundle
+  MeshRead mesh_read;                       ///< for losses on vertices, else empty
+  std::shared_ptr<FrameGeometry> geometry;  ///< the same; null: the alignment's axes, and the rest positions
   /// Directions of u and v in the rest mesh if that is flat, else empty. Needed for mirrored copies.
   std::vector<std::array<float, 3>> sheet_axes;
 
-  int coarse_height() const { return sequences.front().coarse.height(); }
-  int coarse_width() const { return sequences.front().coarse.width(); }
+  int height() const { return sequences.front().input.height(); }
+  int width() const { return sequences.front().input.width(); }
+  int scale() const { return sequences.front().answer.height() / height(); }
+  int constant_channels() const { return constants.shape.empty() ? 0 : static_cast<int>(constants.shape[0]); }
+  /// An answer of zeros is the upsampled coarse mesh.
+  bool detail() const;
   std::size_t training_frames() const;
-  /// Throws kInvalidArgument unless there are training sequences, sizes agree (fine = 4 x coarse), and every sequence
-  /// has at least one frame.
+  /// Throws kInvalidArgument unless there are training sequences, sizes agree, and every sequence has at least one
+  /// frame.
   void check() const;
 };
 
-/// Judges fine images as meshes.
+/// Judges answers as meshes.
 class MeshJudge {
  public:
   virtual ~MeshJudge() = default;
-  /// Mean over the fine vertices of the squared distance to the simulated fine mesh, m^2.
-  /// fine_image: (9, H, W) normalised.
-  virtual double squared_error(std::size_t sequence, std::size_t frame, std::span<const float> fine_image) = 0;
+  /// Mean over the fine vertices of the squared distance to the simulated fine mesh, m^2. answer: normalised.
+  virtual double squared_error(std::size_t sequence, std::size_t frame, std::span<const float> answer) = 0;
   /// The same for barycentric upsampling of the coarse mesh.
   virtual double barycentric_squared_error(std::size_t sequence, std::size_t frame) = 0;
-  /// The normalised fine image (9, H, W) of the barycentrically upsampled coarse mesh.
-  virtual std::vector<float> barycentric_image(std::size_t sequence, std::size_t frame) = 0;
+  /// The normalised answer that means the barycentrically upsampled coarse mesh.
+  virtual std::vector<float> barycentric_answer(std::size_t sequence, std::size_t frame) = 0;
 };
 
 struct LoadedPairs {
@@ -111,8 +143,11 @@ struct LoadedPairs {
 };
 
 /// Reads a data set (docs/file-formats.md), converts every frame and normalises it. `report` gets lines about the
-/// progress. Throws kNotFound, kDataLoss, kInvalidArgument (no normalisation, sequences of other meshes, unknown
-/// names), kResourceExhausted if the images would need more than config.cache_limit_mb.
-LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report);
+/// progress; `stopped` is asked often, and true ends it with kCancelled. Any number of rounds, and either rule.
+/// Throws kNotFound, kDataLoss, kInvalidArgument (sequences of other meshes, unknown names, a mesh that the
+/// representation can't hold), kResourceExhausted if the images would need more than config.cache_limit_mb.
+LoadedPairs load_pairs(
+    const TrainConfig& config, const std::function<void(const std::string&)>& report,
+    const std::function<bool()>& stopped = [] { return false; });
 
 }  // namespace pleat::superres

@@ -7,6 +7,8 @@
 #include <memory>
 #include <optional>
 
+#include "common/base/error.hpp"
+#include "services/superres/bundle/re_export.hpp"
 #include "services/superres/training/followers.hpp"
 #include "services/superres/training/trainer.hpp"
 
@@ -43,10 +45,16 @@ TrainHooks hooks_of(const TrainArguments& arguments) {
 }  // namespace
 
 void run_training(const TrainArguments& arguments) {
+  if (arguments.re_export.empty() != arguments.out.empty()) {
+    throw_invalid_argument("--re-export OLD.pt and --out NEW.pt go together");
+  }
+  if (!arguments.re_export.empty()) return re_export(arguments.re_export, arguments.out);
+  if (arguments.config.empty()) throw_invalid_argument("no configuration; see pleat-train --help");
   const TrainConfig config = read_train_config(arguments.config, arguments.changes);
   TrainHooks hooks = hooks_of(arguments);
   // The first process converts the images; the others find them in files.
-  const LoadedPairs pairs = load_pairs(config, hooks.line);
+  const LoadedPairs pairs =
+      load_pairs(config, hooks.line, [&] { return arguments.stop != nullptr && arguments.stop->load(); });
   std::optional<Followers> followers;
   if (arguments.rank == 0 && arguments.processes > 1) {
     std::filesystem::create_directories(config.output);

@@ -2,20 +2,20 @@
 // Inside services/superres only: this header needs LibTorch.
 #pragma once
 
-#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
-#include "services/superres/cpu/texels.hpp"
 #include "services/superres/training/losses.hpp"
+#include "services/superres/training/mirror.hpp"
 #include "services/superres/training/pairs.hpp"
 
 namespace pleat::superres {
 
 class Sampler {
  public:
-  /// Throws kInvalidArgument if no training sequence is as long as a window, or mirror is asked for and the rest mesh
-  /// is not flat.
+  /// Throws kInvalidArgument if no training sequence is as long as a window, mirror is asked for and can't be had, or
+  /// losses on vertices are and the data know no vertices.
   Sampler(const TrainConfig& config, const PairData& data);
 
   int steps_per_epoch() const { return steps_; }
@@ -26,6 +26,9 @@ class Sampler {
   /// Windows [first, last) of a step's batch. They are drawn without repetition until all had their turn.
   Batch batch(int epoch, int step, int first, int last) const;
   Batch batch(int epoch, int step) const { return batch(epoch, step, 0, config_.batch); }
+
+  /// The answers to a batch as if its inputs had not been mirrored: what belongs to batch.answer. Differentiable.
+  torch::Tensor unmirrored(const torch::Tensor& answers, const Batch& batch) const;
 
   /// Valid texels of all images of a step.
   double valid_texels(int epoch, int step) const;
@@ -44,17 +47,16 @@ class Sampler {
   };
   std::vector<Window> windows_of(int epoch, int step) const;
   Cut cut_of(int epoch, int step, int window) const;
+  void read_image(const PairSequence& sequence, std::size_t frame, const Cut& cut, Batch& batch, std::int64_t n) const;
+  void read_vertices(std::size_t sequence, std::size_t frame, Batch& batch, std::int64_t n) const;
 
   const TrainConfig& config_;
   const PairData& data_;
-  int frames_, patch_height_, patch_width_, steps_;
+  int frames_, patch_height_, patch_width_, scale_, steps_;
   std::vector<Window> windows_;
-  torch::Tensor structure_;  ///< (1, 2, H, W)
-  /// For losses on vertices: what they read in an image reversed along u (bit 0) and v (bit 1), each (K V) int64, and
-  /// the rest positions (3, V).
-  std::vector<torch::Tensor> vertex_texels_;
-  torch::Tensor vertex_rest_;
-  std::shared_ptr<const cpu::UpsampledMesh> mesh_;
+  std::optional<Mirror> mirror_;
+  torch::Tensor constants_;  ///< (K, h, w)
+  torch::Tensor rest_;       ///< (3, V), for losses on vertices
 };
 
 }  // namespace pleat::superres

@@ -18,10 +18,9 @@
 #include "common/base/parallel.hpp"
 #include "common/base/statistics.hpp"
 #include "common/base/whole_file.hpp"
-#include "services/superres/bundle.hpp"
+#include "services/superres/bundle/bundle.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/communicator.hpp"
-#include "services/superres/training/conditioning.hpp"
 #include "services/superres/training/log.hpp"
 #include "services/superres/training/sampler.hpp"
 
@@ -54,11 +53,58 @@ double decibel(double mean_square) { return std::min(psnr_db(mean_square), 200.0
 std::string identity(const TrainConfig& config, const PairData& data) {
   json result = json::parse(pleat::superres::to_json(config));
   json sequences = json::object();
-  for (const PairSequence& sequence : data.sequences) sequences[sequence.name] = sequence.coarse.size();
+  for (const PairSequence& sequence : data.sequences) sequences[sequence.name] = sequence.input.size();
+  const auto ranges = [](const ChannelRanges& r) { return json{{"offset", r.offset}, {"scale", r.scale}}; };
   result["data"] = {{"sequences", std::move(sequences)},
-                    {"minimum", data.normalization.minimum},
-                    {"maximum", data.normalization.maximum}};
+                    {"input", ranges(data.input_ranges)},
+                    {"output", ranges(data.output_ranges)}};
   return result.dump();
+}
+
+constexpr std::size_t kMeasuredFrames = 256;
+
+/// What a network is put between.
+Ports ports_of(const PairData& data) {
+  data.check();
+  return {data.sequences.front().input.channels() + data.constant_channels(), data.sequences.front().answer.channels(),
+          data.scale(), data.detail()};
+}
+
+torch::Tensor read_image(const ImageStore& store, std::size_t frame) {
+  const auto image = torch::empty({1, store.channels(), store.height(), store.width()});
+  store.read(frame, 0, 0, store.height(), store.width(), image.data_ptr<float>());
+  return image;
+}
+
+/// The answer of no network: nothing, to be added to the upsampled mesh; or the newest frame, bilinearly upsampled.
+torch::Tensor plain_answer(const PairData& data, const PairSequence& sequence, std::size_t frame) {
+  const ImageStore& answer = sequence.answer;
+  const int frame_channels = static_cast<int>(data.input_ranges.channels());
+  if (data.detail() || frame_channels != answer.channels()) {
+    return torch::zeros({1, answer.channels(), answer.height(), answer.width()});
+  }
+  const auto input = read_image(sequence.input, frame);
+  return upsample_bilinear(input.slice(1, input.size(1) - frame_channels), data.scale());
+}
+
+/// Deviation of what that lacks, per channel, on some frames of the training sequences.
+std::vector<float> measure_deviation(const PairData& data) {
+  const torch::NoGradGuard no_grad;
+  const std::size_t stride = std::max<std::size_t>(1, data.training_frames() / kMeasuredFrames);
+  const auto channels = static_cast<std::size_t>(data.sequences.front().answer.channels());
+  RangeMeasure measure(channels);
+  std::size_t index = 0;
+  for (const PairSequence& sequence : data.sequences) {
+    if (sequence.validation) continue;
+    for (std::size_t f = 0; f < sequence.answer.size(); ++f, ++index) {
+      if (index % stride != 0) continue;
+      const auto lack = (read_image(sequence.answer, f) - plain_answer(data, sequence, f)).contiguous();
+      measure.add({lack.data_ptr<float>(), static_cast<std::size_t>(lack.numel())}, data.answer_mask);
+    }
+  }
+  auto deviation = measure.moments().scale;
+  for (float& d : deviation) d = std::max(d, 1e-6F);
+  return deviation;
 }
 
 class Trainer {
@@ -69,8 +115,8 @@ class Trainer {
         judge_(judge),
         hooks_(hooks),
         sampler_(config, data),
-        network_(config.architecture, config.seed),
-        averaged_(config.architecture, config.seed),
+        network_(describe(config.architecture, ports_of(data)), config.seed),
+        averaged_(network_.description(), config.seed),
         device_(choose_device()),
         config_json_(pleat::superres::to_json(config)),
         identity_(identity(config, data)),
@@ -93,11 +139,6 @@ class Trainer {
     std::filesystem::create_directories(config_.output, error);
     if (error)
       throw Error(ErrorCode::kResourceExhausted, config_.output + ": can't make the folder: " + error.message());
-    const Conditioning conditioning = measure_conditioning(data_, config_.architecture);
-    for (Network* network : {&network_, &averaged_}) {
-      network->set_conditioning(conditioning);
-      network->set_mesh_base(data_.mesh_base, data_.normalization, data_.coarse_height(), data_.coarse_width());
-    }
     network_.to(device_);
     averaged_.to(device_);
     if (device_.is_cpu() && config_.kernels == "own") {
@@ -115,7 +156,7 @@ class Trainer {
     }
     history_ = read_log(log_, state_.epoch);
     if (first()) write_log(log_, history_);
-    set_constants(conditioning);
+    set_constants();
     result_.best = report_from_json(state_.best_report);
     if (state_.best_epoch >= 0) result_.bundle = bundle_;
     if (first()) measure_baseline();
@@ -165,15 +206,10 @@ class Trainer {
     return state_.minutes + seconds / 60;
   }
 
-  void set_constants(const Conditioning& conditioning) {
-    std::vector<float> minimum(kChannels), range(kChannels);
-    for (std::size_t c = 0; c < kChannels; ++c) {
-      minimum[c] = data_.normalization.minimum[c];
-      range[c] = data_.normalization.maximum[c] - minimum[c];
-    }
-    constants_.minimum = torch::tensor(minimum).to(device_);
-    constants_.range = torch::tensor(range).to(device_);
-    constants_.deviation = torch::tensor(conditioning.output_deviation).to(device_);
+  void set_constants() {
+    constants_.offset = torch::tensor(data_.output_ranges.offset).to(device_);
+    constants_.scale = torch::tensor(data_.output_ranges.scale).to(device_);
+    constants_.deviation = torch::tensor(measure_deviation(data_)).to(device_);
     constants_.frame_time_s = data_.frame_time_s;
     if (config_.losses.needs_vertices()) constants_.set_vertices(data_.mesh_read, device_);
   }
@@ -202,13 +238,8 @@ class Trainer {
   void accumulate(int begin, int end, double texels, torch::Tensor& values) {
     Batch batch = sampler_.batch(state_.epoch, state_.step, begin, end);
     const double share = batch.mask.sum().item<double>() / texels;
-    for (auto* t : {&batch.coarse, &batch.fine, &batch.mask, &batch.rotations}) *t = t->to(device_);
-    if (batch.vertex_rest.defined()) {
-      batch.vertex_texels = batch.vertex_texels.to(device_), batch.vertex_rest = batch.vertex_rest.to(device_);
-    }
-    if (batch.base.defined()) batch.base = batch.base.to(device_), batch.structure = batch.structure.to(device_);
-    const auto synthesized = batch.base.defined() ? network_.forward(batch.coarse, batch.base, batch.structure, type_)
-                                                  : network_.forward(batch.coarse, type_);
+    batch.to(device_);
+    const auto synthesized = sampler_.unmirrored(network_.forward(batch.input, type_), batch);
     const Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
     const auto parts = torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity,
                                      losses.kinematic, losses.vertices, losses.vertex_normals, losses.edges})
@@ -351,41 +382,40 @@ class Trainer {
   void for_validation_frames(const Body& body) const {
     for (std::size_t s = 0; s < data_.sequences.size(); ++s) {
       if (!data_.sequences[s].validation) continue;
-      for (std::size_t f = 0; f < data_.sequences[s].coarse.size();
+      for (std::size_t f = 0; f < data_.sequences[s].input.size();
            f += static_cast<std::size_t>(config_.validation.every_frames)) {
         body(s, f);
       }
     }
   }
 
-  torch::Tensor read(const ImageStore& store, std::size_t frame) const {
-    const auto image = torch::empty({1, kChannels, store.height(), store.width()});
-    store.read(frame, 0, 0, store.height(), store.width(), image.data_ptr<float>());
-    return image;
-  }
-
-  /// Mean squared errors over valid texels and the three channels of displacement, normal and velocity.
+  /// Mean squared errors over valid texels and the three channels of displacement, normal and velocity; 0 for those
+  /// that the answer does not have.
   torch::Tensor feature_errors(const torch::Tensor& image, std::size_t sequence, std::size_t frame) const {
-    const auto& fine = data_.sequences[sequence].fine;
-    const auto mask = torch::from_blob(const_cast<std::uint8_t*>(data_.fine_mask.data()),
-                                       {1, 1, fine.height(), fine.width()}, torch::kUInt8)
+    const auto& answer = data_.sequences[sequence].answer;
+    const auto mask = torch::from_blob(const_cast<std::uint8_t*>(data_.answer_mask.data()),
+                                       {1, 1, answer.height(), answer.width()}, torch::kUInt8)
                           .to(torch::kFloat32);
-    const auto error = (image - read(fine, frame)).square() * mask;
-    return error.view({3, -1}).sum(1).to(torch::kFloat64) / (3 * mask.sum().item<double>());
+    const auto error = (image - read_image(answer, frame)).square() * mask;
+    auto result = torch::zeros({3}, torch::kFloat64);
+    const auto sums = error.view({answer.channels() / 3, -1}).sum(1).to(torch::kFloat64);
+    result.slice(0, 0, sums.size(0)) += sums / (3 * mask.sum().item<double>());
+    return result;
   }
   double displacement_error(const torch::Tensor& image, std::size_t sequence, std::size_t frame) const {
     return feature_errors(image, sequence, frame)[0].item<double>();
   }
 
   void measure_baseline() {
-    double bilinear = 0, barycentric = 0, vmse = 0, count = 0;
+    double plain = 0, barycentric = 0, vmse = 0, count = 0;
     for_validation_frames([&](std::size_t s, std::size_t f) {
       const auto& sequence = data_.sequences[s];
-      bilinear += displacement_error(upsample_bilinear(read(sequence.coarse, f)), s, f);
+      plain += displacement_error(plain_answer(data_, sequence, f), s, f);
       if (judge_ != nullptr) {
-        const auto values = judge_->barycentric_image(s, f);
+        const auto values = judge_->barycentric_answer(s, f);
+        const ImageStore& answer = sequence.answer;
         const auto image = torch::from_blob(const_cast<float*>(values.data()),
-                                            {1, kChannels, sequence.fine.height(), sequence.fine.width()});
+                                            {1, answer.channels(), answer.height(), answer.width()});
         barycentric += displacement_error(image, s, f);
         vmse += judge_->barycentric_squared_error(s, f);
       }
@@ -393,15 +423,14 @@ class Trainer {
     });
     if (count == 0) throw_invalid_argument("data set: no frames to validate on");
     BaselineReport& b = result_.baseline;
-    b.bilinear_psnr_db = decibel(bilinear / count);
+    b.plain_psnr_db = decibel(plain / count);
     if (judge_ != nullptr) b.barycentric_psnr_db = decibel(barycentric / count), b.barycentric_vmse_m2 = vmse / count;
     char text[256];
     std::snprintf(
         text, sizeof text,
-        "validation on %.0f frames; bilinear image PSNR %.2f dB; barycentric mesh PSNR %.2f dB, VMSE %.3e m2, "
+        "validation on %.0f frames; without a network PSNR %.2f dB; barycentric mesh PSNR %.2f dB, VMSE %.3e m2, "
         "RMSE %.2f mm",
-        count, b.bilinear_psnr_db, b.barycentric_psnr_db, b.barycentric_vmse_m2,
-        1e3 * std::sqrt(b.barycentric_vmse_m2));
+        count, b.plain_psnr_db, b.barycentric_psnr_db, b.barycentric_vmse_m2, 1e3 * std::sqrt(b.barycentric_vmse_m2));
     say(text);
   }
 
@@ -411,14 +440,17 @@ class Trainer {
       auto value = averaged_.parameters()[i].second;
       value.copy_(adam.average[i]);
     }
-    for (std::size_t i = 0; i < network_.buffers().size(); ++i) {
-      auto value = averaged_.buffers()[i].second;
-      value.copy_(network_.buffers()[i].second);
-    }
     auto errors = torch::zeros({3}, torch::kFloat64);
     double mesh_error = 0, count = 0;
     for_validation_frames([&](std::size_t s, std::size_t f) {
-      const auto input = read(data_.sequences[s].coarse, f).to(device_);
+      auto input = read_image(data_.sequences[s].input, f);
+      if (data_.constant_channels() > 0) {
+        input = torch::cat(
+            {input,
+             torch::tensor(data_.constants.values).view({1, data_.constant_channels(), data_.height(), data_.width()})},
+            1);
+      }
+      input = input.to(device_);
       const auto output = averaged_.forward(input, type_).to(torch::kCPU).contiguous();
       errors += feature_errors(output, s, f);
       if (judge_ != nullptr) {
@@ -429,8 +461,10 @@ class Trainer {
     report.validated = true;
     const double image_error = errors[0].item<double>();
     report.psnr_db = decibel(image_error / count);
-    report.psnr_normal_db = decibel(errors[1].item<double>() / count);
-    report.psnr_velocity_db = decibel(errors[2].item<double>() / count);
+    if (data_.sequences.front().answer.channels() == 9) {
+      report.psnr_normal_db = decibel(errors[1].item<double>() / count);
+      report.psnr_velocity_db = decibel(errors[2].item<double>() / count);
+    }
     report.vmse_m2 = mesh_error / count;
     const double score = judge_ != nullptr ? report.vmse_m2 : image_error / count;
     if (!std::isfinite(score))
@@ -443,12 +477,11 @@ class Trainer {
     Metadata m;
     m.name = config_.name;
     m.architecture = config_.architecture;
-    m.normalization = data_.normalization;
-    m.coarse_width = data_.coarse_width(), m.coarse_height = data_.coarse_height();
-    m.fine_width = kScale * m.coarse_width, m.fine_height = kScale * m.coarse_height;
-    m.image_spec = data_.image_spec;
+    m.representation = data_.representation;
+    m.input = data_.input_ranges, m.output = data_.output_ranges;
+    m.constants = data_.constant_channels();
     m.topology_hash = data_.topology_hash;
-    m.float32_parameters = Network::float32_parameters();
+    m.float32_parameters = averaged_.float32_parameters();
     json training = json::parse(data_.description);
     training["config"] = json::parse(config_json_);
     training["epoch"] = report.epoch;
@@ -463,7 +496,7 @@ class Trainer {
     }
     training["curve"] = std::move(curve);
     m.training = training.dump();
-    m.metrics = {{"psnr_db", report.psnr_db}, {"bilinear_psnr_db", result_.baseline.bilinear_psnr_db}};
+    m.metrics = {{"psnr_db", report.psnr_db}, {"plain_psnr_db", result_.baseline.plain_psnr_db}};
     if (judge_ != nullptr) {
       m.metrics["vmse_m2"] = report.vmse_m2;
       m.metrics["rmse_m"] = std::sqrt(report.vmse_m2);

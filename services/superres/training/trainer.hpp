@@ -27,7 +27,7 @@ struct EpochReport {
 
 /// What nothing learned would score on the same validation frames.
 struct BaselineReport {
-  double bilinear_psnr_db = 0;                              ///< bilinear upsampling of the coarse image
+  double plain_psnr_db = 0;  ///< an answer of zeros where the answer is detail, else bilinear upsampling of the image
   double barycentric_psnr_db = 0, barycentric_vmse_m2 = 0;  ///< barycentric upsampling of the mesh
 };
 

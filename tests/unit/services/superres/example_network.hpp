@@ -1,82 +1,60 @@
-// Small networks with all their constants, for tests.
+// Small networks for tests.
 #pragma once
 
 #include <torch/torch.h>
 
-#include <cmath>
 #include <string>
 
-#include "services/superres/network.hpp"
+#include "services/superres/networks/network.hpp"
+#include "services/superres/networks/registry.hpp"
 
 namespace pleat::superres {
 
-inline constexpr int kMeshHeight = 5, kMeshWidth = 6, kNear = 4;
-
-inline Architecture small(const std::string& upsampling, const std::string& residual, bool conditioned,
-                          const std::string& axes = "aligned", const std::string& kind = "mfsr") {
-  return {2, 3, 4, 6, upsampling, residual, axes, conditioned, kind};
+inline Description small_mfsr(const std::string& upsampling) {
+  return describe(
+      {"mfsr", R"({"blocks": 2, "layers": 3, "growth": 4, "features": 6, "upsampling": ")" + upsampling + "\"}"},
+      {7, 3, 4, false});
 }
 
-/// A made-up mesh of ten vertices; only its sizes are those of a real one.
-inline MeshBase example_base(int height = kMeshHeight, int width = kMeshWidth) {
-  const auto texels = static_cast<std::size_t>(height * width), fine = 16 * texels;
-  MeshBase base;
-  base.vertices = 10;
-  for (std::size_t i = 0; i < 10 * kNear; ++i) {
-    base.vertex_texels.push_back(static_cast<std::int64_t>(i * 11 % texels));
-    base.vertex_weights.push_back(0.3F * std::sin(static_cast<float>(i)));
-  }
-  for (std::size_t i = 0; i < 3 * fine; ++i) {
-    base.corners.push_back(static_cast<std::int64_t>(i * 7 % 10));
-    base.weights.push_back(0.2F + 0.1F * static_cast<float>(i % 3));
-  }
-  for (std::size_t i = 0; i < kStructureChannels * texels; ++i) {
-    base.structure.push_back(std::cos(static_cast<float>(i)));
-  }
-  for (std::size_t i = 0; i < 3 * texels; ++i) {
-    const auto columns = static_cast<std::size_t>(width);
-    const std::size_t axis = i / texels, row = i % texels / columns, column = i % columns;
-    base.rest.push_back(axis == 0   ? 0.1F * static_cast<float>(column)
-                        : axis == 2 ? -0.1F * static_cast<float>(row)
-                                    : 0);
-  }
-  return base;
+inline Description small_srresnet(const std::string& upsampling) {
+  return describe({"srresnet", R"({"blocks": 2, "features": 6, "upsampling": ")" + upsampling + "\"}"},
+                  {7, 3, 4, false});
 }
 
-inline Normalization example_normalization() {
-  Normalization normalization;
-  for (std::size_t c = 0; c < kChannels; ++c) {
-    normalization.minimum[c] = -0.5F - 0.1F * static_cast<float>(c);
-    normalization.maximum[c] = 0.7F + 0.2F * static_cast<float>(c);
-  }
-  return normalization;
+/// Every kind of layer: the same value read with and without others, at three sizes.
+inline Description several_scales() {
+  Description network(5);
+  const int first = network.add({.name = "first", .inputs = {0}, .channels = 6, .exact = true});
+  const int half = network.add({.kind = LayerKind::kPool, .inputs = {first}, .factor = 2});
+  const int wide = network.add({.name = "wide", .inputs = {half}, .channels = 12, .activation = Activation::kRelu});
+  const int quarter = network.add({.kind = LayerKind::kPool, .inputs = {wide}, .factor = 2});
+  const int deep = network.add({.name = "deep", .inputs = {quarter}, .channels = 12, .kernel = 1});
+  const int back = network.add({.kind = LayerKind::kResize, .inputs = {deep}, .like = wide});
+  const int both =
+      network.add({.name = "both", .inputs = {back, wide}, .channels = 24, .activation = Activation::kRelu});
+  const int shuffled = network.add({.kind = LayerKind::kPixelShuffle, .inputs = {both}, .factor = 2});
+  const int again = network.add({.kind = LayerKind::kResize, .inputs = {shuffled}, .like = first});
+  const int last = network.add({.name = "last", .inputs = {first, again}, .channels = 6, .add = first});
+  const int fine = network.add({.kind = LayerKind::kUpsample, .inputs = {last}, .factor = 4});
+  network.add({.name = "answer", .inputs = {fine}, .channels = 3});
+  return network;
 }
 
-/// Values per channel that differ from each other.
-inline std::vector<float> channel_ramp(int channels, float first, float step) {
-  std::vector<float> values;
-  for (int c = 0; c < channels; ++c) values.push_back(first + step * static_cast<float>(c));
-  return values;
-}
-
-inline Network make_network(const Architecture& architecture, int height = kMeshHeight, int width = kMeshWidth) {
-  Network network(architecture, 5);
-  network.set_conditioning({channel_ramp(kChannels, 0.4F, 0.01F), channel_ramp(kChannels, 0.5F, 0.1F),
-                            channel_ramp(kChannels, 0.2F, 0.1F), channel_ramp(kChannels, 0.3F, 0.1F),
-                            channel_ramp(kLocalChannels, -0.1F, 0.02F), channel_ramp(kLocalChannels, 0.5F, 0.1F),
-                            channel_ramp(kChannels, 0.3F, 0.1F)});
-  network.set_mesh_base(example_base(height, width), example_normalization(), height, width);
-  // Heads of a residual network begin at zero: give them values, or they would hide everything before them.
+/// Weights that begin at zero get values, or they would hide everything before them.
+inline Network make_network(const Description& description) {
+  Network network(description, 5);
   const torch::NoGradGuard no_grad;
   for (auto [name, value] : network.parameters()) {
-    if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.2, 0.3, value.numel()).view(value.sizes()));
+    if (value.abs().max().item<double>() == 0) {
+      value.copy_(torch::linspace(-0.2, 0.3, value.numel()).view(value.sizes()));
+    }
   }
   return network;
 }
 
-inline torch::Tensor example_input(std::int64_t batch, std::int64_t height, std::int64_t width) {
-  const auto ramp = torch::arange(batch * kChannels * height * width, torch::kFloat32);
-  return (0.5 + 0.45 * torch::sin(ramp * 0.37)).view({batch, kChannels, height, width});
+inline torch::Tensor example_input(std::int64_t batch, std::int64_t channels, std::int64_t height, std::int64_t width) {
+  const auto ramp = torch::arange(batch * channels * height * width, torch::kFloat32);
+  return (0.5 + 0.45 * torch::sin(ramp * 0.37)).view({batch, channels, height, width});
 }
 
 }  // namespace pleat::superres

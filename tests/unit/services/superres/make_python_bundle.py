@@ -24,22 +24,19 @@ class Small(torch.nn.Module):
         return detail + torch.nn.functional.interpolate(x, scale_factor=4.0, mode="bilinear", align_corners=False)
 
 
+RANGES = {"offset": [-1.0] * 9, "scale": [2.0] * 9}
 METADATA = {
     "format": "pleat.bundle",
-    "version": 1,
+    "version": 2,
     "name": "python_bundle",
     "architecture": {"kind": "small-from-python"},
-    "scale": 4,
-    "channels": [f"{feature}_{axis}" for feature in ("displacement", "normal", "velocity") for axis in "xyz"],
-    "normalization": {"minimum": [-1.0] * 9, "maximum": [1.0] * 9},
-    "coarse_image": [6, 5],
-    "fine_image": [24, 20],
-    "image_spec": {},
+    "representation": {
+        "geometry_image": {"layout": "LAYOUT_PUBLISHED", "width": 6, "height": 5, "scale": 4},
+        "input": RANGES,
+        "output": RANGES,
+    },
     "topology_hash": "",
     "velocity": "backward",
-    "training": {},
-    "metrics": {},
-    "git_revision": "",
 }
 
 if __name__ == "__main__":

@@ -7,9 +7,10 @@
 #include <thread>
 
 #include "services/superres/batcher.hpp"
-#include "services/superres/bundle.hpp"
+#include "services/superres/bundle/bundle.hpp"
+#include "services/superres/bundle/folder.hpp"
 #include "services/superres/engine.hpp"
-#include "services/superres/network.hpp"
+#include "services/superres/networks/network.hpp"
 #include "tests/support/errors.hpp"
 #include "tests/support/temporary_folder.hpp"
 
@@ -20,10 +21,12 @@ namespace fs = std::filesystem;
 using test::error_of;
 using testing::HasSubstr;
 
+constexpr int kChannels = 9;
+
 class EngineTest : public testing::Test {
  public:
   static Tensor image(int height, int width, float phase = 0) {
-    Tensor t{{kChannels, height, width}, channel_names(), {}};
+    Tensor t{{kChannels, height, width}, {}, {}};
     for (int i = 0; i < kChannels * height * width; ++i) {
       t.values.push_back(0.5F + 0.4F * std::sin(phase + 0.3F * static_cast<float>(i)));
     }
@@ -39,25 +42,22 @@ class EngineTest : public testing::Test {
   static Metadata metadata(const std::string& name) {
     Metadata m;
     m.name = name;
-    m.architecture = {1, 2, 4, 8, "subpixel", "bilinear", "aligned", true};
-    m.normalization.minimum.fill(-1);
-    m.normalization.maximum.fill(1);
-    m.coarse_width = 6, m.coarse_height = 5, m.fine_width = 24, m.fine_height = 20;
-    m.topology_hash = "00000000000000aa";
-    m.float32_parameters = Network::float32_parameters();
+    m.architecture =
+        complete({"mfsr", R"({"blocks": 1, "layers": 2, "growth": 4, "features": 8, "upsampling": "subpixel"})"});
+    GeometryImageSpec spec;
+    spec.image.coarse_width = 6, spec.image.coarse_height = 5;
+    m.representation.kind = spec;
+    m.input = m.output = {std::vector<float>(kChannels, -1), std::vector<float>(kChannels, 2), 0};
+    m.float32_parameters = {"shallow"};
     return m;
   }
 
-  static Network network() {
-    Network network({1, 2, 4, 8, "subpixel", "bilinear", "aligned", true}, 9);
-    const torch::NoGradGuard no_grad;
-    for (auto [name, value] : network.parameters()) {
-      if (name.rfind("head_", 0) == 0) value.copy_(torch::linspace(-0.1, 0.1, value.numel()).view(value.sizes()));
-    }
-    return network;
-  }
+  static Network network(const Metadata& metadata) { return {describe(metadata.architecture, ports_of(metadata)), 9}; }
 
-  void write(const std::string& name) const { save_bundle(network().to_script(), metadata(name), file(name)); }
+  void write(const std::string& name) const { write(metadata(name)); }
+  void write(const Metadata& metadata) const {
+    save_bundle(network(metadata).to_script(), metadata, file(metadata.name));
+  }
 
   /// A module made by somebody else, without float32_parameters.
   void write_foreign(const std::string& name, const std::string& source) const {
@@ -97,14 +97,14 @@ TEST_F(EngineTest, RunsWhatWasWritten) {
   Engine engine(options(), "small");
   EXPECT_EQ(engine.status().precision, "float32");
   EXPECT_EQ(engine.status().device, "cpu");
-  EXPECT_EQ(engine.describe().topology_hash, "00000000000000aa");
   for (const auto& [h, w] : {std::pair{5, 6}, std::pair{8, 7}}) {
     const Tensor input = image(h, w);
-    const Tensor output = engine.upscale(input);
+    const Tensor output = engine.upscale({&input});
     EXPECT_EQ(output.shape, (std::vector<std::int64_t>{9, 4 * h, 4 * w}));
-    EXPECT_EQ(output.channels, channel_names());
-    const auto expected =
-        network().forward(torch::tensor(input.values).view({1, kChannels, h, w})).detach().contiguous();
+    const auto expected = network(metadata("small"))
+                              .forward(torch::tensor(input.values).view({1, kChannels, h, w}))
+                              .detach()
+                              .contiguous();
     EXPECT_LT(
         worst_difference(output.values, {expected.data_ptr<float>(), expected.data_ptr<float>() + expected.numel()}),
         1e-5);
@@ -115,11 +115,15 @@ TEST_F(EngineTest, BatchEqualsSingleImages) {
   write("small");
   Engine engine(options(), "small");
   const Tensor a = image(5, 6), b = image(5, 6, 2);
-  const std::span<const float> both[] = {a.values, b.values};
-  const auto results = engine.upscale(both, 5, 6);
+  const NetworkInput both[] = {{&a}, {&b}};
+  const auto results = engine.upscale(both);
   ASSERT_EQ(results.size(), 2U);
-  EXPECT_LT(worst_difference(results[0], engine.upscale(a).values), 1e-6);
-  EXPECT_LT(worst_difference(results[1], engine.upscale(b).values), 1e-6);
+  EXPECT_LT(worst_difference(results[0].values, engine.upscale({&a}).values), 1e-6);
+  EXPECT_LT(worst_difference(results[1].values, engine.upscale({&b}).values), 1e-6);
+  const Tensor three = engine.upscale({&a}, 3);
+  EXPECT_EQ(three.shape, (std::vector<std::int64_t>{3, 20, 24}));
+  EXPECT_LT(worst_difference(three.values, {results[0].values.begin(), results[0].values.begin() + 3 * 480}), 1e-6);
+  EXPECT_EQ(error_of([&] { engine.upscale({&a}, 10); }).code(), ErrorCode::kInvalidArgument);
 }
 
 TEST_F(EngineTest, Bfloat16OnlyWhereTheProcessorAndTheBundleHaveIt) {
@@ -132,9 +136,9 @@ TEST_F(EngineTest, Bfloat16OnlyWhereTheProcessorAndTheBundleHaveIt) {
     Engine engine(options(Precision::kAuto), "small");
     EXPECT_EQ(engine.status().precision, "bfloat16");
     // Eight bits, and an answer of up to 1.5 on inputs that are pure noise.
-    EXPECT_LT(
-        worst_difference(engine.upscale(image(5, 6)).values, Engine(options(), "small").upscale(image(5, 6)).values),
-        2e-2);
+    const Tensor input = image(5, 6);
+    EXPECT_LT(worst_difference(engine.upscale({&input}).values, Engine(options(), "small").upscale({&input}).values),
+              3e-2);
   } else {
     EXPECT_EQ(Engine(options(Precision::kAuto), "small").status().precision, "float32");
     EXPECT_EQ(error_of([&] { Engine(options(Precision::kBfloat16), "small"); }).code(), ErrorCode::kFailedPrecondition);
@@ -145,7 +149,7 @@ TEST_F(EngineTest, ForeignModulesRunAndBadOnesAreRefused) {
   write_foreign("good",
                 "def forward(self, x):\n  return torch.upsample_nearest2d(x, [x.size(2) * 4, x.size(3) * 4])\n");
   const Tensor input = image(3, 4);
-  EXPECT_FLOAT_EQ(Engine(options(), "good").upscale(input).values[0], input.values[0]);
+  EXPECT_FLOAT_EQ(Engine(options(), "good").upscale({&input}).values[0], input.values[0]);
   write_foreign("shape", "def forward(self, x):\n  return x\n");
   EXPECT_THAT(error_of([&] { Engine(options(), "shape"); }).what(), HasSubstr("another shape"));
   write_foreign("nan",
@@ -192,7 +196,7 @@ void expect_python_answer(Engine& engine) {
   EXPECT_EQ(engine.describe().architecture.kind, "small-from-python");
   const Tensor input = EngineTest::image(5, 6, 0.7F);
   const auto expected = python_answer(input);
-  const auto output = engine.upscale(input).values;
+  const auto output = engine.upscale({&input}).values;
   EXPECT_LT(worst_difference(output, {expected.begin(), expected.end()}), 1e-5);
 }
 
@@ -242,16 +246,20 @@ TEST_F(EngineTest, DamagedBundlesAreDataLoss) {
 }
 
 TEST_F(EngineTest, ScriptWithoutMetadataIsNoBundle) {
-  network().to_script().save(file("bare"));
+  network(metadata("bare")).to_script().save(file("bare"));
   const Error error = error_of([&] { read_metadata(folder(), "bare"); });
   EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
   EXPECT_THAT(error.what(), HasSubstr("pleat.json"));
 }
 
 TEST_F(EngineTest, OtherMeshIsRefused) {
-  write("small");
+  Metadata m = metadata("small");
+  m.topology_hash = "00000000000000aa";
+  write(m);
   Engine engine(options(), "small");
   engine.require_topology("00000000000000aa");
+  const Tensor other = image(8, 7);
+  EXPECT_THAT(error_of([&] { engine.upscale({&other}); }).what(), HasSubstr("6x5"));
   const Error error = error_of([&] { engine.require_topology("00000000000000bb"); });
   EXPECT_EQ(error.code(), ErrorCode::kFailedPrecondition);
   EXPECT_THAT(error.what(), HasSubstr("00000000000000bb"));
@@ -260,19 +268,56 @@ TEST_F(EngineTest, OtherMeshIsRefused) {
 TEST_F(EngineTest, BadImagesAreRefused) {
   write("small");
   Engine engine(options(), "small");
+  const auto refusal = [&](const Tensor& wrong) { return error_of([&] { engine.upscale({&wrong}); }); };
   Tensor wrong = image(5, 6);
   wrong.values.pop_back();
-  EXPECT_EQ(error_of([&] { engine.upscale(wrong); }).code(), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(refusal(wrong).code(), ErrorCode::kInvalidArgument);
   wrong = image(5, 6);
   wrong.values[7] = std::numeric_limits<float>::quiet_NaN();
-  EXPECT_THAT(error_of([&] { engine.upscale(wrong); }).what(), HasSubstr("finite"));
+  EXPECT_THAT(refusal(wrong).what(), HasSubstr("finite"));
   wrong = image(5, 6);
   wrong.shape = {9, 0, 6};
-  EXPECT_EQ(error_of([&] { engine.upscale(wrong); }).code(), ErrorCode::kInvalidArgument);
-  wrong = image(5, 6);
-  std::swap(wrong.channels[0], wrong.channels[1]);
-  EXPECT_EQ(error_of([&] { engine.upscale(wrong); }).code(), ErrorCode::kInvalidArgument);
-  EXPECT_EQ(engine.upscale(image(5, 6)).values.size(), 9U * 20 * 24);
+  EXPECT_EQ(refusal(wrong).code(), ErrorCode::kInvalidArgument);
+  wrong.shape = {10, 5, 6};
+  EXPECT_THAT(refusal(wrong).what(), HasSubstr("(9, h, w)"));
+  wrong.shape = {9, 30};
+  EXPECT_EQ(refusal(wrong).code(), ErrorCode::kInvalidArgument);
+  const Tensor good = image(5, 6);
+  EXPECT_EQ(engine.upscale({&good}).values.size(), 9U * 20 * 24);
+}
+
+/// Two frames of nine channels and two constant ones.
+TEST_F(EngineTest, WindowsAndConstantsReachTheNetwork) {
+  Metadata m = metadata("window");
+  m.representation.window = 2;
+  m.constants = 2;
+  write(m);
+  Tensor frames{{18, 5, 6}, {}, {}}, first{{2, 5, 6}, {}, {}}, second = first;
+  for (int i = 0; i < 18 * 30; ++i) frames.values.push_back(std::sin(0.3F * static_cast<float>(i)));
+  for (int i = 0; i < 2 * 30; ++i) {
+    first.values.push_back(std::cos(0.2F * static_cast<float>(i)));
+    second.values.push_back(std::sin(0.7F * static_cast<float>(i)));
+  }
+  for (const bool torchscript : {false, true}) {
+    EngineOptions o = options();
+    o.torchscript = torchscript;
+    Engine engine(o, "window");
+    EXPECT_EQ(engine.status().kernels == "TorchScript", torchscript);
+    EXPECT_THAT(error_of([&] { engine.upscale({&frames}); }).what(), HasSubstr("constants"));
+    EXPECT_EQ(error_of([&] { engine.take_constants(frames); }).code(), ErrorCode::kInvalidArgument);
+    EXPECT_EQ(error_of([&] { engine.take_constants({}); }).code(), ErrorCode::kInvalidArgument);
+    // Sessions with constants of their own, frame by frame in turn.
+    const auto a = engine.take_constants(first), b = engine.take_constants(second);
+    for (const auto& constants : {a, b, a}) {
+      auto input = torch::empty({1, 20, 5, 6});
+      std::copy(frames.values.begin(), frames.values.end(), input.data_ptr<float>());
+      std::copy(constants->values.begin(), constants->values.end(), input.data_ptr<float>() + frames.values.size());
+      const auto expected = network(m).forward(input).detach().contiguous();
+      EXPECT_LT(worst_difference(engine.upscale({&frames, constants}).values,
+                                 {expected.data_ptr<float>(), expected.data_ptr<float>() + expected.numel()}),
+                1e-5);
+    }
+  }
 }
 
 TEST_F(EngineTest, OutOfMemoryHalvesTheBatchFromThenOn) {
@@ -283,11 +328,11 @@ TEST_F(EngineTest, OutOfMemoryHalvesTheBatchFromThenOn) {
   four.largest_batch = 4;
   Engine engine(four, "greedy");
   const Tensor a = image(5, 6, 0.1F), b = image(5, 6, 0.7F);
-  const std::span<const float> both[] = {a.values, b.values};
-  const auto results = engine.upscale(both, 5, 6);
+  const NetworkInput both[] = {{&a}, {&b}};
+  const auto results = engine.upscale(both);
   EXPECT_EQ(engine.status().largest_batch, 1);
-  EXPECT_EQ(results[0], engine.upscale(a.values, 5, 6));
-  EXPECT_EQ(results[1], engine.upscale(b.values, 5, 6));
+  EXPECT_EQ(results[0].values, engine.upscale({&a}).values);
+  EXPECT_EQ(results[1].values, engine.upscale({&b}).values);
 }
 
 TEST_F(EngineTest, BatcherAnswersManySessionsAndSparesTheInnocent) {
@@ -305,8 +350,9 @@ TEST_F(EngineTest, BatcherAnswersManySessionsAndSparesTheInnocent) {
       double difference = 0;
       for (int frame = 0; frame < 5; ++frame) {
         Tensor input = image(5, 6, static_cast<float>(10 * s) + static_cast<float>(frame));
-        const auto expected = engine->upscale(input).values;
-        difference = std::max(difference, worst_difference(batcher.submit(std::move(input)).get().values, expected));
+        const auto expected = engine->upscale({&input}).values;
+        difference =
+            std::max(difference, worst_difference(batcher.submit(std::move(input), nullptr).get().values, expected));
       }
       worst[s] = difference;
     });
@@ -317,8 +363,8 @@ TEST_F(EngineTest, BatcherAnswersManySessionsAndSparesTheInnocent) {
   const auto a = batcher.open_session(), b = batcher.open_session();
   Tensor bad = image(5, 6);
   bad.values[0] = std::numeric_limits<float>::infinity();
-  auto good_answer = batcher.submit(image(5, 6));
-  auto bad_answer = batcher.submit(std::move(bad));
+  auto good_answer = batcher.submit(image(5, 6), nullptr);
+  auto bad_answer = batcher.submit(std::move(bad), nullptr);
   EXPECT_EQ(good_answer.get().values.size(), 9U * 20 * 24);
   EXPECT_EQ(error_of([&] { bad_answer.get(); }).code(), ErrorCode::kInvalidArgument);
 }

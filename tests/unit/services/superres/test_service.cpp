@@ -15,8 +15,7 @@
 #include "common/frame/messages.hpp"
 #include "common/rpc/channel.hpp"
 #include "common/rpc/stream.hpp"
-#include "services/superres/bundle.hpp"
-#include "services/superres/network.hpp"
+#include "services/superres/bundle/bundle.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -24,7 +23,7 @@ namespace {
 namespace fs = std::filesystem;
 using Stream = rpc::FrameStream<v1::UpscaleRequest, v1::UpscaleResponse>;
 
-constexpr int kHeight = 5, kWidth = 6;
+constexpr int kChannels = 9, kHeight = 5, kWidth = 6;
 
 class ReplacedBundle : public testing::Test {
  protected:
@@ -53,9 +52,10 @@ class ReplacedBundle : public testing::Test {
     Metadata m;
     m.name = "small";
     m.architecture.kind = "scaled";
-    m.normalization.minimum.fill(-1);
-    m.normalization.maximum.fill(1);
-    m.coarse_width = kWidth, m.coarse_height = kHeight, m.fine_width = 4 * kWidth, m.fine_height = 4 * kHeight;
+    GeometryImageSpec spec;
+    spec.image.coarse_width = kWidth, spec.image.coarse_height = kHeight;
+    m.representation.kind = spec;
+    m.input = m.output = {std::vector<float>(kChannels, -1), std::vector<float>(kChannels, 2), 0};
     save_bundle(module, m, (models_ / "small.pt").string());
   }
 
@@ -71,7 +71,7 @@ class ReplacedBundle : public testing::Test {
 
   /// The factor of the bundle that answers frame `index` of a session.
   static double factor_of(Stream& session, std::uint64_t index) {
-    Tensor image{{kChannels, kHeight, kWidth}, channel_names(), {}};
+    Tensor image{{kChannels, kHeight, kWidth}, {}, {}};
     image.values.assign(static_cast<std::size_t>(kChannels) * kHeight * kWidth, 0.25F);
     v1::UpscaleRequest request;
     request.mutable_frame()->set_index(index);
@@ -95,6 +95,19 @@ class ReplacedBundle : public testing::Test {
   std::optional<ChildProcess> process_;
   std::unique_ptr<v1::SuperResolution::Stub> stub_;
 };
+
+TEST_F(ReplacedBundle, SaysHowConversionHasToBeSetUp) {
+  std::ofstream(models_ / "text.pt") << "no archive";
+  v1::ListModelsResponse response;
+  grpc::ClientContext context;
+  ASSERT_TRUE(stub_->ListModels(&context, {}, &response).ok());
+  ASSERT_EQ(response.models_size(), 1);
+  const v1::Representation& representation = response.models(0).representation();
+  EXPECT_EQ(representation.geometry_image().width(), static_cast<std::uint32_t>(kWidth));
+  EXPECT_EQ(representation.subdivision_rounds(), 2U);
+  EXPECT_EQ(representation.input().scale_size(), kChannels);
+  EXPECT_EQ(representation.output().offset(8), -1);
+}
 
 TEST_F(ReplacedBundle, ServesNewSessionsAndDropsNone) {
   const auto first = session();

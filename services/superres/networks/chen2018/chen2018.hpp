@@ -1,0 +1,13 @@
+// Chen et al. 2018, [MFSR]'s reference [13]: residual blocks, two sub-pixel stages, one convolution.
+// It was made for positions alone: layout "positions".
+#pragma once
+
+#include "services/superres/networks/options.hpp"
+#include "services/superres/networks/registry.hpp"
+
+namespace pleat::superres {
+
+/// Options: blocks 16, features 64. Throws kInvalidArgument for a scale that is not four.
+Description describe_chen2018(Options& options, const Ports& ports);
+
+}  // namespace pleat::superres

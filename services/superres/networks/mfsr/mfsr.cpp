@@ -1,0 +1,35 @@
+#include "services/superres/networks/mfsr/mfsr.hpp"
+
+#include "services/superres/networks/parts.hpp"
+
+namespace pleat::superres {
+
+Description describe_mfsr(Options& options, const Ports& ports) {
+  const int blocks = options.integer("blocks", 16, 1, 64), layers = options.integer("layers", 6, 1, 32);
+  const int growth = options.integer("growth", 32, 1, 256), width = options.integer("features", 64, 1, 512);
+  const std::string upsampling = read_upsampling(options);
+
+  Description network(ports.inputs);
+  const int shallow = network.add({.name = "shallow0", .inputs = {0}, .channels = width, .exact = true});
+  int features = network.add({.name = "shallow1", .inputs = {shallow}, .channels = width, .exact = true});
+  std::vector<int> hierarchy;
+  for (int d = 0; d < blocks; ++d) {
+    const std::string block = "block" + std::to_string(d);
+    std::vector<int> dense{features};
+    for (int c = 0; c < layers; ++c) {
+      dense.push_back(network.add({.name = block + "_dense" + std::to_string(c),
+                                   .inputs = dense,
+                                   .channels = growth,
+                                   .activation = Activation::kRelu}));
+    }
+    features =
+        network.add({.name = block + "_fusion", .inputs = dense, .channels = width, .kernel = 1, .add = features});
+    hierarchy.push_back(features);
+  }
+  features = network.add({.name = "global0", .inputs = hierarchy, .channels = width, .kernel = 1});
+  features = network.add({.name = "global1", .inputs = {features}, .channels = width, .add = shallow});
+  add_heads(network, features, upsampling, ports);
+  return network;
+}
+
+}  // namespace pleat::superres

@@ -1,0 +1,32 @@
+#include "services/superres/networks/parts.hpp"
+
+namespace pleat::superres {
+
+int add_residual_blocks(Description& network, int features, int count) {
+  const int channels = network.channels(features);
+  for (int d = 0; d < count; ++d) {
+    const std::string block = "block" + std::to_string(d);
+    const int inner = network.add(
+        {.name = block + "_first", .inputs = {features}, .channels = channels, .activation = Activation::kRelu});
+    features = network.add({.name = block + "_second", .inputs = {inner}, .channels = channels, .add = features});
+  }
+  return features;
+}
+
+std::string read_upsampling(Options& options) {
+  return options.choice("upsampling", "bilinear", {"bilinear", "subpixel"});
+}
+
+int add_heads(Description& network, int features, const std::string& upsampling, const Ports& ports) {
+  if (upsampling == "bilinear") {
+    features = network.add({.kind = LayerKind::kUpsample, .inputs = {features}, .factor = ports.scale});
+    return network.add({.name = "heads", .inputs = {features}, .channels = ports.outputs, .zero = ports.detail});
+  }
+  const int values = network.add({.name = "heads",
+                                  .inputs = {features},
+                                  .channels = ports.outputs * ports.scale * ports.scale,
+                                  .zero = ports.detail});
+  return network.add({.kind = LayerKind::kPixelShuffle, .inputs = {values}, .factor = ports.scale});
+}
+
+}  // namespace pleat::superres

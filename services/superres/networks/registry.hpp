@@ -1,0 +1,36 @@
+// The networks that can be trained here. A new one is a folder beside this file and a line in registry.cpp.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "services/superres/networks/description.hpp"
+
+namespace pleat::superres {
+
+/// Which network, and its sizes.
+struct Architecture {
+  /// One of network_kinds(), or the author's own word for a module made elsewhere.
+  std::string kind = "mfsr";
+  std::string options = "{}";  ///< JSON object; its keys are the kind's own (docs/superres.md)
+};
+
+/// What a network is put between. All of it follows from the representation.
+struct Ports {
+  int inputs = 9;       ///< channels of what it reads: those of every frame of the window, then the constant ones
+  int outputs = 9;      ///< channels of its answer
+  int scale = 4;        ///< its answer is that many times as high and wide
+  bool detail = false;  ///< the answer is added to an upsampled mesh: without training it is zero
+};
+
+std::vector<std::string> network_kinds();
+bool is_registered(const std::string& kind);
+
+/// The architecture with every option in place. Throws kInvalidArgument for another kind, an unknown option, or a value
+/// out of range.
+Architecture complete(const Architecture& architecture);
+
+/// The network's layers. Throws as complete().
+Description describe(const Architecture& architecture, const Ports& ports);
+
+}  // namespace pleat::superres

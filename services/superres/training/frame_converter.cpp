@@ -1,0 +1,65 @@
+#include "services/superres/training/frame_converter.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "common/base/error.hpp"
+#include "common/features/frame_features.hpp"
+
+namespace pleat::superres {
+namespace {
+
+constexpr std::uint64_t kChunk = 8;  ///< frames read and converted together: a fraction of a second
+
+}  // namespace
+
+FrameConverter::FrameConverter(const DatasetReader& reader, const Representation& representation, ThreadPool& pool,
+                               std::function<bool()> stopped)
+    : reader_(reader), representation_(representation), pool_(pool), stopped_(std::move(stopped)) {}
+
+void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride, int window,
+                         const std::function<void(std::uint64_t, Converted&)>& use) const {
+  const double frame_time_s = reader_.master().frame_time_s;
+  const auto before = static_cast<std::size_t>(window);  // frames kept: velocities need one more than the window
+  std::vector<Positions> coarse_before;
+  Positions fine_before;
+  for (std::uint64_t first = 0; first < sequence.frames_complete; first += kChunk) {
+    if (stopped_()) throw Error(ErrorCode::kCancelled, "stopped on request while images were converted");
+    const std::uint64_t end = std::min(first + kChunk, sequence.frames_complete);
+    std::vector<Positions> coarse = reader_.coarse(sequence.name, first, end);
+    const auto fine = reader_.fine(sequence.name, first, end);
+    const std::size_t known = coarse_before.size();
+    coarse.insert(coarse.begin(), std::make_move_iterator(coarse_before.begin()),
+                  std::make_move_iterator(coarse_before.end()));
+    const auto frame_of = [&](const std::vector<Positions>& positions, std::size_t i, const Positions& previous) {
+      Frame frame;
+      frame.positions = positions[i];
+      frame.velocities = backward_velocities(positions[i], i > 0 ? positions[i - 1] : previous, frame_time_s);
+      return frame;
+    };
+    std::vector<Converted> results(fine.size());
+    pool_.parallel_for(results.size(), 1, [&](std::size_t begin, std::size_t stop) {
+      for (std::size_t i = begin; i < stop; ++i) {
+        if ((first + i) % stride != 0) continue;
+        std::vector<Frame> frames;
+        for (std::size_t t = before; t-- > 0;) {
+          const std::size_t at = known + i;
+          frames.push_back(frame_of(coarse, at >= t ? at - t : 0, {}));
+        }
+        Converted& result = results[i];
+        result.alignment = representation_.align(frames.back().positions);
+        representation_.encode(frames, result.alignment, result.input);
+        representation_.target(frames.back(), frame_of(fine, i, fine_before), result.alignment, result.answer);
+      }
+    });
+    for (std::size_t i = 0; i < results.size(); ++i) {
+      if ((first + i) % stride == 0) use(first + i, results[i]);
+    }
+    fine_before = fine.back();
+    coarse_before.assign(
+        std::make_move_iterator(coarse.end() - static_cast<std::ptrdiff_t>(std::min(coarse.size(), before + 1))),
+        std::make_move_iterator(coarse.end()));
+  }
+}
+
+}  // namespace pleat::superres

@@ -1,0 +1,130 @@
+#include "services/superres/training/mesh_tools.hpp"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+
+#include "common/base/error.hpp"
+#include "common/mesh/connectivity.hpp"
+
+namespace pleat::superres {
+namespace {
+
+double mean_square(const Positions& a, const Positions& b) {
+  return (a - b).cast<double>().squaredNorm() / static_cast<double>(a.rows());
+}
+
+Positions upsampled(const Representation& representation, const Positions& coarse) {
+  return upsample(representation.subdivision(), representation.coarse().faces, coarse);
+}
+
+}  // namespace
+
+FrameMeshes::FrameMeshes(std::shared_ptr<const Representation> representation, const ChannelRanges& output)
+    : representation_(std::move(representation)), output_(output) {}
+
+void FrameMeshes::add(std::size_t sequence, std::size_t frame, Positions coarse, Positions fine) {
+  const RigidTransform alignment = representation_->align(coarse);
+  meshes_[{sequence, frame}] = {std::move(coarse), std::move(fine), alignment};
+}
+
+const FrameMeshes::Meshes& FrameMeshes::at(std::size_t sequence, std::size_t frame) const {
+  const auto it = meshes_.find({sequence, frame});
+  if (it == meshes_.end()) throw_internal("training: no meshes of frame " + std::to_string(frame));
+  return it->second;
+}
+
+void FrameMeshes::axes(std::size_t sequence, std::size_t frame, Tensor& axes) const {
+  const Meshes& meshes = at(sequence, frame);
+  representation_->answer_axes(meshes.coarse, meshes.alignment, axes);
+}
+
+void FrameMeshes::base(std::size_t sequence, std::size_t frame, Positions& positions) const {
+  const Meshes& meshes = at(sequence, frame);
+  representation_->base(meshes.coarse, meshes.alignment, positions);
+}
+
+const FrameMeshes::Meshes& FrameJudge::validated(std::size_t sequence, std::size_t frame) const {
+  const FrameMeshes::Meshes& meshes = meshes_->at(sequence, frame);
+  if (meshes.fine.rows() == 0) throw_internal("judge: not a validation frame");
+  return meshes;
+}
+
+double FrameJudge::squared_error(std::size_t sequence, std::size_t frame, std::span<const float> answer) {
+  const FrameMeshes::Meshes& meshes = validated(sequence, frame);
+  const Representation& representation = meshes_->representation();
+  Tensor tensor{representation.answer_shape(), {}, {answer.begin(), answer.end()}};
+  denormalize(meshes_->output(), tensor);
+  Positions fine;
+  representation.decode(tensor, meshes.coarse, meshes.alignment, fine);
+  return mean_square(fine, meshes.fine);
+}
+
+double FrameJudge::barycentric_squared_error(std::size_t sequence, std::size_t frame) {
+  const FrameMeshes::Meshes& meshes = validated(sequence, frame);
+  return mean_square(upsampled(meshes_->representation(), meshes.coarse), meshes.fine);
+}
+
+std::vector<float> FrameJudge::barycentric_answer(std::size_t sequence, std::size_t frame) {
+  const FrameMeshes::Meshes& meshes = validated(sequence, frame);
+  Frame coarse, fine;
+  coarse.positions = meshes.coarse;
+  fine.positions = upsampled(meshes_->representation(), meshes.coarse);
+  Tensor answer;
+  meshes_->representation().target(coarse, fine, meshes.alignment, answer);
+  normalize(meshes_->output(), answer);
+  return std::move(answer.values);
+}
+
+MeshRead make_mesh_read(const Representation& representation) {
+  const VertexReads& reads = representation.reads();
+  const Topology& fine = representation.fine();
+  MeshRead result;
+  const auto vertices = static_cast<std::size_t>(fine.vertex_count());
+  std::size_t most = 1;
+  for (std::size_t v = 0; v < vertices; ++v) {
+    most = std::max<std::size_t>(most, reads.offsets[v + 1] - reads.offsets[v]);
+  }
+  result.texels.assign(most * vertices, 0);
+  result.weights.assign(most * vertices, 0.0F);
+  for (std::size_t v = 0; v < vertices; ++v) {
+    for (std::size_t i = reads.offsets[v]; i < reads.offsets[v + 1]; ++i) {
+      const std::size_t place = (i - reads.offsets[v]) * vertices + v;
+      result.texels[place] = reads.places[i];
+      result.weights[place] = reads.weights[i];
+    }
+  }
+  // Column by column.
+  const auto rest = fine.rest_positions.reshaped<Eigen::ColMajor>();
+  const auto faces = fine.faces.reshaped<Eigen::ColMajor>();
+  result.rest.assign(rest.begin(), rest.end());
+  result.faces.assign(faces.begin(), faces.end());
+  std::vector<std::int64_t> ends;
+  for (const Edge& edge : build_connectivity(fine.vertex_count(), fine.faces).edges) {
+    if (fine.rest_positions.row(edge.v0) == fine.rest_positions.row(edge.v1)) continue;
+    result.edges.push_back(edge.v0);
+    ends.push_back(edge.v1);
+  }
+  result.edges.insert(result.edges.end(), ends.begin(), ends.end());
+  return result;
+}
+
+std::vector<std::array<float, 3>> flat_sheet_axes(const Topology& mesh) {
+  const Eigen::Index corners = mesh.uv_faces.size();
+  Eigen::MatrixX3d a(corners, 3), x(corners, 3);
+  for (Eigen::Index i = 0; i < corners; ++i) {
+    const auto uv = mesh.uv.row(mesh.uv_faces.data()[i]).cast<double>();
+    a.row(i) << uv[0], uv[1], 1;
+    x.row(i) = mesh.rest_positions.row(mesh.faces.data()[i]).cast<double>();
+  }
+  const Eigen::Matrix3d solution = (a.transpose() * a).ldlt().solve(a.transpose() * x);
+  const double extent = (mesh.uv.colwise().maxCoeff() - mesh.uv.colwise().minCoeff()).norm();
+  if ((a * solution - x).cwiseAbs().maxCoeff() > 1e-4 * extent) return {};
+  const Eigen::Vector3d u = solution.row(0), v = solution.row(1);
+  if (std::abs(u.dot(v)) > 1e-4 * u.norm() * v.norm()) return {};
+  const auto to_array = [](const Eigen::Vector3d& d) {
+    return std::array<float, 3>{static_cast<float>(d[0]), static_cast<float>(d[1]), static_cast<float>(d[2])};
+  };
+  return {to_array(u), to_array(v)};
+}
+
+}  // namespace pleat::superres

@@ -1,0 +1,61 @@
+// Meshes around a training: the judge of answers, what losses on vertices read, and the directions of a flat sheet.
+#pragma once
+
+#include <array>
+#include <map>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "services/conversion/representation.hpp"
+#include "services/superres/training/pairs.hpp"
+
+namespace pleat::superres {
+
+/// The coarse meshes of some frames, and of those that are validated the fine ones too.
+class FrameMeshes final : public FrameGeometry {
+ public:
+  FrameMeshes(std::shared_ptr<const Representation> representation, const ChannelRanges& output);
+
+  void add(std::size_t sequence, std::size_t frame, Positions coarse, Positions fine);
+
+  void axes(std::size_t sequence, std::size_t frame, Tensor& axes) const override;
+  void base(std::size_t sequence, std::size_t frame, Positions& positions) const override;
+
+  struct Meshes {
+    Positions coarse, fine;
+    RigidTransform alignment;
+  };
+  /// Throws kInternal for a frame that was not added.
+  const Meshes& at(std::size_t sequence, std::size_t frame) const;
+  const Representation& representation() const { return *representation_; }
+  const ChannelRanges& output() const { return output_; }
+
+ private:
+  std::shared_ptr<const Representation> representation_;
+  ChannelRanges output_;
+  std::map<std::pair<std::size_t, std::size_t>, Meshes> meshes_;
+};
+
+/// Judges by the meshes of the validation frames.
+class FrameJudge final : public MeshJudge {
+ public:
+  explicit FrameJudge(std::shared_ptr<const FrameMeshes> meshes) : meshes_(std::move(meshes)) {}
+
+  double squared_error(std::size_t sequence, std::size_t frame, std::span<const float> answer) override;
+  double barycentric_squared_error(std::size_t sequence, std::size_t frame) override;
+  std::vector<float> barycentric_answer(std::size_t sequence, std::size_t frame) override;
+
+ private:
+  const FrameMeshes::Meshes& validated(std::size_t sequence, std::size_t frame) const;
+
+  std::shared_ptr<const FrameMeshes> meshes_;
+};
+
+MeshRead make_mesh_read(const Representation& representation);
+
+/// u and v directions if the rest positions are an affine function of the material coordinates, and those are mirror
+/// symmetric as a rectangle is; else empty.
+std::vector<std::array<float, 3>> flat_sheet_axes(const Topology& mesh);
+
+}  // namespace pleat::superres
