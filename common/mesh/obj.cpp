@@ -337,7 +337,8 @@ void write_obj(const std::filesystem::path& path, const Topology& topology) {
   write_obj(path, topology, topology.rest_positions);
 }
 
-void write_obj(const std::filesystem::path& path, const Topology& topology, const Positions& positions) {
+void write_obj(const std::filesystem::path& path, const Topology& topology, const Positions& positions,
+               std::string_view comment) {
   if (positions.rows() != topology.vertex_count()) {
     throw_invalid_argument(path.string() + ": " + std::to_string(positions.rows()) + " positions for a mesh of " +
                            std::to_string(topology.vertex_count()) + " vertices");
@@ -345,6 +346,7 @@ void write_obj(const std::filesystem::path& path, const Topology& topology, cons
   WholeFile file(path);
   file.write(kObjMark);
   file.write("\n");
+  file.write(comment);
   for (Eigen::Index v = 0; v < positions.rows(); ++v) {
     std::fprintf(file.stream(), "v %.9g %.9g %.9g\n", static_cast<double>(positions(v, 0)),
                  static_cast<double>(positions(v, 1)), static_cast<double>(positions(v, 2)));

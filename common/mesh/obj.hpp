@@ -38,10 +38,11 @@ Positions read_obj_frame(const std::filesystem::path& path, const Topology& rest
 /// The first line of what write_obj writes.
 inline constexpr std::string_view kObjMark = "# written by Pleat, in metres";
 
-/// Writes positions (default: the rest positions), material coordinates and faces with 9 significant digits, so that
-/// reading gives the same floats. Appears when it is complete (WholeFile). Throws kResourceExhausted if the disk is
-/// full, kInvalidArgument if it can't be made.
+/// Writes kObjMark, `comment` (whole lines that begin with #), positions (default: the rest positions), material
+/// coordinates and faces with 9 significant digits, so that reading gives the same floats. Appears when it is complete
+/// (WholeFile). Throws kResourceExhausted if the disk is full, kInvalidArgument if it can't be made.
 void write_obj(const std::filesystem::path& path, const Topology& topology);
-void write_obj(const std::filesystem::path& path, const Topology& topology, const Positions& positions);
+void write_obj(const std::filesystem::path& path, const Topology& topology, const Positions& positions,
+               std::string_view comment = {});
 
 }  // namespace pleat

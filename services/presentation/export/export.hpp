@@ -41,10 +41,11 @@ ExportInput read_export_input(const std::filesystem::path& result, const std::st
 
 /// Writes into `folder`, which is made if need be, and returns the files in the order in which they were written. Every
 /// file is written beside its final name and renamed, so that an interrupted export leaves no half file under a final
-/// name. Vertex order and count are those of the result in all formats. Throws kInvalidArgument (no frames, a frame of
-/// another size or not finite, the folder), kResourceExhausted (disk full; the file is named).
+/// name. Files of these names that are no earlier exports are refused (kAlreadyExists) before anything is written,
+/// unless `overwrite`. Vertex order and count are those of the result in all formats. Throws kInvalidArgument (no
+/// frames, a frame of another size or not finite, the folder), kResourceExhausted (disk full; the file is named).
 std::vector<std::filesystem::path> export_frames(const ExportInput& input, ExportFormat format,
                                                  const std::filesystem::path& folder,
-                                                 const ExportProgress& progress = {});
+                                                 const ExportProgress& progress = {}, bool overwrite = false);
 
 }  // namespace pleat::presentation

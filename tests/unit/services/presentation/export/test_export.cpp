@@ -219,9 +219,40 @@ TEST_F(Export, BadInputIsNamedAndLeavesNoFile) {
   };
   EXPECT_THROW(export_frames(input_, ExportFormat::kPc2, folder_), Error);
   EXPECT_FALSE(fs::exists(folder_ / "sheet.pc2"));
-  EXPECT_FALSE(fs::exists(folder_ / "sheet.pc2.tmp"));
+  EXPECT_TRUE(fs::is_empty(folder_));
   input_.frame_count = 0;
   EXPECT_THROW(export_frames(input_, ExportFormat::kUsda, folder_), Error);
+}
+
+TEST_F(Export, ReplacesEarlierExportsAndNothingElse) {
+  for (const auto format :
+       {ExportFormat::kObj, ExportFormat::kPly, ExportFormat::kPc2, ExportFormat::kMdd, ExportFormat::kUsda}) {
+    const auto files = export_frames(input_, format, folder_);
+    EXPECT_NO_THROW(export_frames(input_, format, folder_)) << static_cast<int>(format);
+    for (const fs::path& file : files) {
+      const std::string ours = read_file(file);
+      fs::remove(file);
+      std::ofstream(file) << "mine";
+      try {
+        export_frames(input_, format, folder_);
+        ADD_FAILURE() << file;
+      } catch (const Error& error) {
+        EXPECT_EQ(error.code(), ErrorCode::kAlreadyExists);
+        EXPECT_THAT(error.what(), testing::StartsWith(file.string() + ": "));
+      }
+      EXPECT_EQ(read_file(file), "mine");
+      fs::remove(file);
+      std::ofstream(file, std::ios::binary) << ours;
+    }
+    // A cache that was changed since is somebody's work.
+    if (files.back().extension() == ".pc2") {
+      std::ofstream(files.back(), std::ios::app | std::ios::binary) << "x";
+      EXPECT_THROW(export_frames(input_, format, folder_), Error);
+      EXPECT_NO_THROW(export_frames(input_, format, folder_, {}, true));
+    }
+  }
+  // Both caches' OBJ is one file.
+  EXPECT_NO_THROW(export_frames(input_, ExportFormat::kPc2, folder_));
 }
 
 TEST_F(Export, ReadsAResultFile) {
