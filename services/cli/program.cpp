@@ -34,7 +34,7 @@ int run_pleat(int argc, const char* const* argv) {
   root.require_subcommand(0, 1);
   std::vector<Command> commands;
   for (const auto add :
-       {add_up, add_run, add_enhance, add_export, add_body, add_dataset, add_eval, add_bench, add_health})
+       {add_up, add_run, add_enhance, add_check, add_export, add_body, add_dataset, add_eval, add_bench, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
   root.footer(kFooter);
   return run_program(root, argc, argv, [&] {
