@@ -140,7 +140,7 @@ int check(const CheckOptions& options) {
   if (options.json) std::printf("%s\n", report.dump(2).c_str());
   std::fflush(stdout);
   if (faults == 0) return kExitDone;
-  print_error(std::to_string(faults) + (faults == 1 ? " fault: " : " faults, the first: ") + first);
+  print_error("pleat", std::to_string(faults) + (faults == 1 ? " fault: " : " faults, the first: ") + first);
   return kExitWrongInput;
 }
 

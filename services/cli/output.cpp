@@ -70,7 +70,7 @@ int write_reports(const fs::path& folder, presentation::ReportSummary summary) {
   const auto penetrations = report.value("penetrations", 0ull),
              intersections = report.value("self_intersections", 0ull);
   if (penetrations == 0 && intersections == 0) return kExitDone;
-  print_error((folder / "result.h5").string() + ": " + std::to_string(penetrations) + " penetrations and " +
+  print_error("pleat", (folder / "result.h5").string() + ": " + std::to_string(penetrations) + " penetrations and " +
               std::to_string(intersections) + " self-intersections are left in " + std::to_string(input.frame_count) +
               " frames: are the coarse frames free of them?");
   return kExitNotClean;
