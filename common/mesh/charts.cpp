@@ -12,7 +12,7 @@ namespace pleat {
 namespace {
 
 constexpr double kGap = 0.05;                   ///< between charts, of the largest extent
-constexpr double kFarApart = 0.07;              ///< the same: from here on they are moved together
+constexpr double kFarApart = 0.15;              ///< the same: from here on they are moved together
 constexpr Eigen::Index kMostFaces = 1'000'000;  ///< beyond, overlaps are left to the rasteriser
 
 using Point = Eigen::Vector2d;

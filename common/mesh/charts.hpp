@@ -19,8 +19,8 @@ std::size_t turn_mirrored_charts(Topology& topology);
 /// Two faces that cover a common area in material space, of different charts or of one. Expects no face without area.
 std::optional<std::pair<Eigen::Index, Eigen::Index>> find_overlap(const Topology& topology, bool of_one_chart);
 
-/// Lays the charts side by side, a twentieth of the largest extent apart, if some overlap or lie further from all
-/// others than a little more than that: only distances within a chart mean anything. Returns whether it did.
+/// Lays the charts side by side, a twentieth of the largest extent apart, if some overlap or lie more than three times
+/// that from all others: only distances within a chart mean anything. Returns whether it did.
 bool lay_out_charts(Topology& topology);
 
 /// What reading a garment does: turns charts, lays them out, and then throws kInvalidArgument as

@@ -34,11 +34,12 @@ void note_size(const Topology& garment, const std::string& name, std::vector<std
   const float extent =
       (garment.rest_positions.colwise().maxCoeff() - garment.rest_positions.colwise().minCoeff()).maxCoeff();
   if (extent > kLarge) {
-    notes.push_back(name + ": is " + number(static_cast<double>(extent)) +
-                    " m large; if it is in centimetres or millimetres, give --scale 0.01 or 0.001");
+    notes.push_back(
+        name + ": is " + number(static_cast<double>(extent)) +
+        " m large; if it is in centimetres or millimetres, give --scale 0.01 or 0.001 (data sets: --garment-scale)");
   } else if (extent < kSmall) {
     notes.push_back(name + ": is " + number(static_cast<double>(extent)) +
-                    " m large; if it is in another unit, give --scale with its metres");
+                    " m large; if it is in another unit, give --scale (data sets: --garment-scale) with its metres");
   }
 }
 

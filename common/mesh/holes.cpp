@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 #include <set>
+#include <unordered_map>
 
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/triangulate.hpp"
@@ -19,22 +20,31 @@ constexpr std::size_t kLongLoop = 400;     ///< corners; longer ones are not cut
 using Loop = std::vector<std::uint32_t>;
 using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 
-/// The rims of holes, each in the direction that a face on its other side has there.
+/// The rims of holes, each in the direction that a face on its other side has there. Where a rim comes back to one of
+/// its vertices it is cut into two, so that each passes a vertex once.
 std::vector<Loop> find_loops(const Connectivity& connectivity) {
   std::multimap<std::uint32_t, std::uint32_t> next;
   for (const Edge& edge : connectivity.edges) {
     if (edge.f1 == kNone) next.emplace(edge.v1, edge.v0);
   }
   std::vector<Loop> loops;
+  std::unordered_map<std::uint32_t, std::size_t> place;
   while (!next.empty()) {
-    Loop loop{next.begin()->first};
-    for (auto step = next.begin(); step != next.end(); step = next.find(loop.back())) {
+    Loop path{next.begin()->first};
+    place = {{path[0], 0}};
+    for (auto step = next.begin(); step != next.end(); step = next.find(path.back())) {
       const std::uint32_t vertex = step->second;
       next.erase(step);
-      if (vertex == loop.front()) break;
-      loop.push_back(vertex);
+      const auto [seen, is_new] = place.try_emplace(vertex, path.size());
+      if (is_new) {
+        path.push_back(vertex);
+        continue;
+      }
+      const auto begin = path.begin() + static_cast<std::ptrdiff_t>(seen->second);
+      loops.emplace_back(begin, path.end());
+      for (auto left = begin + 1; left != path.end(); ++left) place.erase(*left);
+      path.erase(begin + 1, path.end());
     }
-    loops.push_back(std::move(loop));
   }
   return loops;
 }

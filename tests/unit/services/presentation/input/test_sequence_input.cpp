@@ -302,15 +302,5 @@ TEST_F(SequenceInput, ReadsASequenceOfADataSet) {
   expect_error(folder_.string(), ErrorCode::kInvalidArgument, "name one of its sequences");
 }
 
-TEST(NaturalOrder, ComparesNumbersByValue) {
-  EXPECT_TRUE(natural_less("a2", "a10"));
-  EXPECT_FALSE(natural_less("a10", "a2"));
-  EXPECT_TRUE(natural_less("a002b", "a10b"));
-  EXPECT_TRUE(natural_less("a", "a1"));
-  EXPECT_TRUE(natural_less("a99999999999999999999998", "a99999999999999999999999"));
-  EXPECT_FALSE(natural_less("a1", "a1"));
-  EXPECT_NE(natural_less("a1", "a01"), natural_less("a01", "a1"));
-}
-
 }  // namespace
 }  // namespace pleat::presentation
