@@ -67,8 +67,9 @@ void scale_back(Tensor& image, const Normalization& normalization) {
 /// One sequence's frames, converted chunk by chunk on all threads.
 class Converter {
  public:
-  Converter(const DatasetReader& reader, const ImageMap& map, ThreadPool& pool, double frame_time_s)
-      : reader_(reader), map_(map), pool_(pool), frame_time_s_(frame_time_s) {}
+  Converter(const DatasetReader& reader, const ImageMap& map, ThreadPool& pool, double frame_time_s,
+            const std::atomic<bool>* stop)
+      : reader_(reader), map_(map), pool_(pool), frame_time_s_(frame_time_s), stop_(stop) {}
 
   struct Converted {
     Tensor coarse, fine;
@@ -76,11 +77,16 @@ class Converter {
     Positions coarse_positions, fine_positions;
   };
 
-  /// Calls use(frame index, converted) in frame order, for every `stride`-th frame.
+  /// Calls use(frame index, converted) in frame order, for every `stride`-th frame. Throws kCancelled when it is to
+  /// stop.
   template <typename Use>
   void run(const SequenceInfo& sequence, std::size_t stride, const Use& use) const {
     Positions last_coarse, last_fine;
     for (std::uint64_t first = 0; first < sequence.frames_complete; first += kChunk) {
+      if (stop_ != nullptr && stop_->load()) {
+        throw Error(ErrorCode::kCancelled, "stopped while the images of sequence " + sequence.name +
+                                               " were converted; nothing was trained yet");
+      }
       const std::uint64_t end = std::min(first + kChunk, sequence.frames_complete);
       const auto coarse = reader_.coarse(sequence.name, first, end);
       const auto fine = reader_.fine(sequence.name, first, end);
@@ -109,6 +115,7 @@ class Converter {
   const ImageMap& map_;
   ThreadPool& pool_;
   double frame_time_s_;
+  const std::atomic<bool>* stop_;
 };
 
 void extend(Normalization& range, const Tensor& image, const std::vector<std::uint8_t>& mask) {
@@ -286,12 +293,13 @@ std::vector<SequenceInfo> usable_sequences(const TrainConfig& config, const Data
 
 }  // namespace
 
-LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report) {
+LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report,
+                       const std::atomic<bool>* stop) {
   const DatasetReader reader(config.dataset);
   const DatasetMaster& master = reader.master();
   auto map = std::make_unique<ImageMap>(master.topology.coarse, master.topology.fine, make_spec(config.images));
   ThreadPool pool(static_cast<std::size_t>(config.threads));
-  const Converter converter(reader, *map, pool, master.frame_time_s);
+  const Converter converter(reader, *map, pool, master.frame_time_s, stop);
 
   const std::vector<SequenceInfo> sequences = usable_sequences(config, reader, report);
   const auto stride_of = [&](const SequenceInfo& sequence) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -112,7 +113,9 @@ struct LoadedPairs {
 
 /// Reads a data set (docs/file-formats.md), converts every frame and normalises it. `report` gets lines about the
 /// progress. Throws kNotFound, kDataLoss, kInvalidArgument (no normalisation, sequences of other meshes, unknown
-/// names), kResourceExhausted if the images would need more than config.cache_limit_mb.
-LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report);
+/// names), kResourceExhausted if the images would need more than config.cache_limit_mb, kCancelled soon after `*stop`
+/// became true; whole sequences that were converted stay for the next training.
+LoadedPairs load_pairs(const TrainConfig& config, const std::function<void(const std::string&)>& report,
+                       const std::atomic<bool>* stop = nullptr);
 
 }  // namespace pleat::superres

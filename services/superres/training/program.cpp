@@ -46,7 +46,7 @@ void run_training(const TrainArguments& arguments) {
   const TrainConfig config = read_train_config(arguments.config, arguments.changes);
   TrainHooks hooks = hooks_of(arguments);
   // The first process converts the images; the others find them in files.
-  const LoadedPairs pairs = load_pairs(config, hooks.line);
+  const LoadedPairs pairs = load_pairs(config, hooks.line, arguments.stop);
   std::optional<Followers> followers;
   if (arguments.rank == 0 && arguments.processes > 1) {
     std::filesystem::create_directories(config.output);
