@@ -158,7 +158,7 @@ SetSize set_size(const std::string& set, bool full) {
   return {10, 3, full ? 400 : 150};
 }
 
-std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
+std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes) {
   if (std::max({options.train, options.test, options.extra}) > kMostSequences) {
     throw_invalid_argument("data set: at most " + std::to_string(kMostSequences) + " sequences of a kind");
   }
@@ -169,8 +169,8 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
   if (options.set != "draping" && options.set != "hitting") {
     throw_invalid_argument("data set '" + options.set + "' is unknown; there are draping and hitting");
   }
-  std::vector<std::string> notes;
-  const Topology cloth = read_garment(options.garment, notes);
+  std::vector<std::string> unasked;
+  const Topology cloth = read_garment(options.garment, notes != nullptr ? *notes : unasked, options.garment_scale);
   require_rest_lengths(cloth, options.garment.string());
   const simulation::Material material = simulation::read_material(options.material);
   std::vector<std::uint32_t> edge = upper_edge(cloth);
