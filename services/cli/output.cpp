@@ -71,8 +71,9 @@ int write_reports(const fs::path& folder, presentation::ReportSummary summary) {
              intersections = report.value("self_intersections", 0ull);
   if (penetrations == 0 && intersections == 0) return kExitDone;
   print_error("pleat", (folder / "result.h5").string() + ": " + std::to_string(penetrations) + " penetrations and " +
-              std::to_string(intersections) + " self-intersections are left in " + std::to_string(input.frame_count) +
-              " frames: are the coarse frames free of them?");
+                           std::to_string(intersections) + " self-intersections are left; of " +
+                           std::to_string(input.frame_count) + " coarse frames " +
+                           std::to_string(report.value("input_intersects", 0ull)) + " were not free of them");
   return kExitNotClean;
 }
 

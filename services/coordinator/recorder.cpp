@@ -34,7 +34,7 @@ void set_fine(PipelineFrame& frame, const ResultFrame& stored) {
 }  // namespace
 
 const std::vector<std::string> kJobStages = {"simulation", "to_image", "superres", "to_mesh", "refinement", "store"};
-const std::vector<std::string> kJobCounts = {"penetrations", "self_intersections", "frame_errors"};
+const std::vector<std::string> kJobCounts = {"penetrations", "self_intersections", "frame_errors", "input_intersects"};
 
 ResultFrame to_result_frame(const PipelineFrame& frame, const Subdivision& subdivision, const Faces& coarse_faces,
                             float store_ms) {
@@ -50,7 +50,8 @@ ResultFrame to_result_frame(const PipelineFrame& frame, const Subdivision& subdi
     }
     result.stages_ms.push_back(ms);
   }
-  result.counts = {frame.report.penetrations_after(), frame.report.self_intersections_after(), frame.error ? 1U : 0U};
+  result.counts = {frame.report.penetrations_after(), frame.report.self_intersections_after(), frame.error ? 1U : 0U,
+                   frame.report.input_intersects() ? 1U : 0U};
   return result;
 }
 

@@ -20,7 +20,8 @@ namespace pleat::coordinator {
 /// The stages of a job, in the order of the pipeline, as in result.h5. `store` is the time that writing the frame
 /// before took: a frame's own is not known before it is written.
 extern const std::vector<std::string> kJobStages;
-/// Per frame: penetrations, self_intersections, frame_errors (1: the frame failed and has the upsampled coarse mesh).
+/// Per frame: penetrations, self_intersections, frame_errors (1: the frame failed and has the upsampled coarse mesh),
+/// input_intersects (1: the coarse frame was not clean itself).
 extern const std::vector<std::string> kJobCounts;
 
 /// The frame as the result file has it. A frame with an error gets the barycentrically upsampled coarse mesh: it has no

@@ -81,6 +81,7 @@ EventPtr read_event(const ResultReader& reader, std::uint64_t index) {
   set_positions(enhanced.mutable_coarse(), stored.coarse);
   enhanced.mutable_report()->set_penetrations_after(count("penetrations"));
   enhanced.mutable_report()->set_self_intersections_after(count("self_intersections"));
+  enhanced.mutable_report()->set_input_intersects(count("input_intersects") != 0);
   for (std::size_t i = 0; i < stored.stages_ms.size(); ++i) {
     v1::StageTime& time = *enhanced.add_stage_times();
     time.set_stage(reader.info().stages[i]);
