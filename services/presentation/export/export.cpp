@@ -16,11 +16,9 @@ namespace pleat::presentation {
 
 namespace {
 
-constexpr std::pair<const char*, ExportFormat> kFormats[] = {{"obj", ExportFormat::kObj},
-                                                             {"ply", ExportFormat::kPly},
-                                                             {"pc2", ExportFormat::kPc2},
-                                                             {"mdd", ExportFormat::kMdd},
-                                                             {"usda", ExportFormat::kUsda}};
+constexpr std::pair<const char*, ExportFormat> kFormats[] = {
+    {"obj", ExportFormat::kObj}, {"ply", ExportFormat::kPly},   {"pc2", ExportFormat::kPc2},
+    {"mdd", ExportFormat::kMdd}, {"usda", ExportFormat::kUsda}, {"glb", ExportFormat::kGlb}};
 
 /// "name.0007.obj": at least four digits, so that names sort in the order of the frames.
 std::string numbered(const std::string& name, std::size_t frame, std::size_t count, const char* ending) {
@@ -44,6 +42,9 @@ std::vector<std::filesystem::path> export_files(const ExportInput& input, Export
       break;
     case ExportFormat::kUsda:
       files.push_back(folder / (input.name + ".usda"));
+      break;
+    case ExportFormat::kGlb:
+      files.push_back(folder / (input.name + ".glb"));
       break;
     case ExportFormat::kPc2:
     case ExportFormat::kMdd:
@@ -118,6 +119,9 @@ std::vector<std::filesystem::path> export_frames(const ExportInput& input, Expor
       break;
     case ExportFormat::kUsda:
       write_usda(files[0], input, frame);
+      break;
+    case ExportFormat::kGlb:
+      write_glb(files[0], input, frame);
       break;
     case ExportFormat::kPc2:
     case ExportFormat::kMdd:

@@ -17,14 +17,15 @@ enum class ExportFormat {
   kPc2,   ///< PC2 point cache of all frames, and one OBJ with the topology
   kMdd,   ///< MDD point cache of all frames, and one OBJ with the topology
   kUsda,  ///< USD text: one mesh with time samples
+  kGlb,   ///< binary glTF: one mesh with a morph target a frame
 };
 
-/// "obj", "ply", "pc2", "mdd" or "usda". Throws kInvalidArgument that lists them.
+/// "obj", "ply", "pc2", "mdd", "usda" or "glb". Throws kInvalidArgument that lists them.
 ExportFormat parse_export_format(const std::string& name);
 
 /// The frames of one mesh.
 struct ExportInput {
-  std::string name = "cloth";  ///< stem of the file names, and the prim in USD
+  std::string name = "cloth";  ///< stem of the file names, and the prim in USD, the node in glTF
   Topology topology;
   std::size_t frame_count = 0;                        ///< at least 1
   double frame_time_s = 0;                            ///< seconds between two frames, > 0
