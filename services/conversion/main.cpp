@@ -6,7 +6,7 @@
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-conversion", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = default_address("conversion");
+    server.listen = pleat::default_address("conversion");
     pleat::conversion::ServiceOptions conversion;
     pleat::config::Options options("pleat-conversion", "Coarse meshes to geometry images, fine images to meshes.",
                                    "PLEAT_CONVERSION_");

@@ -10,7 +10,7 @@ namespace {
 
 int run(int argc, char** argv) {
   pleat::rpc::ServerOptions server;
-  server.listen = default_address("coordinator");
+  server.listen = pleat::default_address("coordinator");
   pleat::coordinator::CoordinatorOptions coordinator;
 
   pleat::config::Options options("pleat-coordinator", "Sequences the stages per frame: jobs and live sessions.",

@@ -6,7 +6,7 @@
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-refinement", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = default_address("refinement");
+    server.listen = pleat::default_address("refinement");
     pleat::refinement::ServiceOptions refinement;
     pleat::config::Options options("pleat-refinement", "Makes fine frames free of penetrations and self-intersections.",
                                    "PLEAT_REFINEMENT_");

@@ -6,7 +6,7 @@
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-simulation", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = default_address("simulation");
+    server.listen = pleat::default_address("simulation");
     pleat::simulation::ServiceOptions simulation;
     pleat::config::Options options("pleat-simulation", "Cloth physics: coarse frames, and fine frames that track them.",
                                    "PLEAT_SIMULATION_");

@@ -6,7 +6,7 @@
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-superres", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = default_address("superres");
+    server.listen = pleat::default_address("superres");
     pleat::superres::ServiceOptions superres;
     pleat::config::Options options("pleat-superres", "Fine geometry images from coarse ones, by a trained network.",
                                    "PLEAT_SUPERRES_");

@@ -33,11 +33,15 @@ Parts take_apart(const std::string& name) {
     std::size_t end = i;
     while (end < name.size() && is_digit(name[end])) ++end;
     std::string& before = parts.texts.back();
+    long long number = 0;
+    if (std::from_chars(name.data() + i, name.data() + end, number).ec != std::errc{}) {
+      before.append(name, i, end - i);  // no frame's number
+      i = end;
+      continue;
+    }
     const bool negative =
         before.ends_with('-') && (i == 1 || std::isalnum(static_cast<unsigned char>(name[i - 2])) == 0);
     if (negative) before.pop_back();
-    long long number = 0;
-    if (std::from_chars(name.data() + i, name.data() + end, number).ec != std::errc{}) number = -1;  // no frame's
     parts.numbers.push_back(negative ? -number : number);
     parts.texts.emplace_back();
     i = end;
@@ -57,7 +61,7 @@ std::vector<fs::path> in_order(std::vector<Frame> frames, const std::string& sou
   std::vector<fs::path> files;
   for (std::size_t i = 0; i < frames.size(); ++i) {
     if (i > 0 && frames[i].number == frames[i - 1].number) {
-      throw_invalid_argument(source + ": " + frames[i - 1].file.filename().string() + " and " +
+      throw_invalid_argument(source + ": " + files.back().filename().string() + " and " +
                              frames[i].file.filename().string() + " are both frame " +
                              std::to_string(frames[i].number));
     }

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <cstring>
 #include <fstream>
+#include <limits>
 #include <regex>
 #include <vector>
 
@@ -23,7 +24,7 @@ namespace fs = std::filesystem;
 static_assert(std::endian::native == std::endian::little, "numbers are turned from the file's order to this one");
 
 constexpr std::uint64_t kMaxPoints = 4'000'000;
-constexpr std::uint64_t kMaxFrames = 10'000'000;
+constexpr std::uint64_t kMaxFrames = std::numeric_limits<std::int32_t>::max();
 constexpr hsize_t kMaxValues = 10'000'000'000;
 
 Positions check_finite(Positions positions, const std::string& name, std::size_t frame) {
@@ -109,6 +110,13 @@ class FlatFile : public PointSequence {
     return value;
   }
 
+  /// A number of points or samples.
+  std::uint64_t read_count(const char* format, const char* what) {
+    const auto count = read_number<std::int32_t>(format);
+    if (count < 0) throw_invalid_argument(name_ + ": " + format + " with " + std::to_string(count) + " " + what);
+    return static_cast<std::uint64_t>(count);
+  }
+
   std::string name_;
   std::ifstream stream_;
   std::uint64_t size_ = 0, begin_ = 0;
@@ -122,8 +130,6 @@ class FlatFile : public PointSequence {
   std::size_t frames_ = 0;
 };
 
-std::uint64_t natural(std::int32_t value) { return value > 0 ? static_cast<std::uint64_t>(value) : 0; }
-
 class Pc2File final : public FlatFile {
  public:
   explicit Pc2File(const fs::path& path) : FlatFile(path) {
@@ -135,10 +141,10 @@ class Pc2File final : public FlatFile {
     swapped_ = static_cast<std::int32_t>(__builtin_bswap32(static_cast<std::uint32_t>(version))) == 1;
     if (version != 1 && !swapped_)
       throw_invalid_argument(name_ + ": PC2 version " + std::to_string(version) + ", not 1");
-    const auto points = read_number<std::int32_t>("PC2");
+    const std::uint64_t points = read_count("PC2", "points");
     read_number<float>("PC2");  // start frame
     read_number<float>("PC2");  // samples a frame
-    finish_header(natural(points), natural(read_number<std::int32_t>("PC2")), 32, "PC2");
+    finish_header(points, read_count("PC2", "samples"), 32, "PC2");
   }
 };
 
@@ -146,8 +152,8 @@ class MddFile final : public FlatFile {
  public:
   explicit MddFile(const fs::path& path) : FlatFile(path) {
     swapped_ = true;
-    const std::uint64_t frames = natural(read_number<std::int32_t>("MDD"));
-    const std::uint64_t points = natural(read_number<std::int32_t>("MDD"));
+    const std::uint64_t frames = read_count("MDD", "samples");
+    const std::uint64_t points = read_count("MDD", "points");
     if (frames > size_ / 4)
       throw_data_loss(name_ + ": truncated, " + std::to_string(size_) + " bytes for " + std::to_string(frames) +
                       " frames");
