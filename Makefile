@@ -15,7 +15,7 @@ SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 FUZZ_SECONDS ?= 120
 FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_refine
 
-.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz clean compose-demo dataset model viewer proto-descriptor install
+.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz clean compose-demo dataset model viewer proto-descriptor install python
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -92,6 +92,9 @@ compose-demo: ## build the container images and run the demo job against them
 
 viewer: ## rebuild the viewer inside report.html (needs npm; the built one is committed)
 	@cd services/presentation/viewer && npm ci --no-fund --no-audit && npm run build
+
+python: setup ## build wheel and sdist of the package for Python into build/python/dist
+	@common/client/python/build.sh $(BUILD)/python
 
 proto-descriptor: ## renew the committed descriptor of the wire contract after adding to it
 	@protoc -I proto --include_imports --descriptor_set_out=proto/pleat/v1/descriptor.binpb proto/pleat/v1/*.proto
