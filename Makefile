@@ -4,6 +4,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 BUILD ?= build
+PREFIX ?= /usr/local
 PRESET ?= release
 OUT ?= out
 JOBS ?= $(shell nproc)
@@ -14,7 +15,7 @@ SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 FUZZ_SECONDS ?= 120
 FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine
 
-.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz clean compose-demo dataset model viewer proto-descriptor
+.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz clean compose-demo dataset model viewer proto-descriptor install python
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,6 +39,10 @@ build: configure ## configure and build everything into build/
 programs: configure
 	@echo "build: compiling the programs with $(JOBS) jobs"
 	@cmake --build $(BUILD) -j $(JOBS) --target programs
+
+install: programs ## install the programs and what comes with them below PREFIX (/usr/local) and DESTDIR
+	@DESTDIR="$(DESTDIR)" cmake --install $(BUILD) --prefix "$(PREFIX)" >/dev/null
+	@echo "install: $(DESTDIR)$(PREFIX)/bin/pleat"
 
 demo: programs ## simulate and enhance the falling tablecloth; pictures in out/demo/report.html
 	@echo "demo: deploy/scenes/draping.json with the shipped model"
@@ -87,6 +92,9 @@ compose-demo: ## build the container images and run the demo job against them
 
 viewer: ## rebuild the viewer inside report.html (needs npm; the built one is committed)
 	@cd services/presentation/viewer && npm ci --no-fund --no-audit && npm run build
+
+python: setup ## build wheel and sdist of the package for Python into build/python/dist
+	@common/client/python/build.sh $(BUILD)/python
 
 proto-descriptor: ## renew the committed descriptor of the wire contract after adding to it
 	@protoc -I proto --include_imports --descriptor_set_out=proto/pleat/v1/descriptor.binpb proto/pleat/v1/*.proto

@@ -18,7 +18,8 @@ function(pleat_library name)
   pleat_common_options(${name})
 endfunction()
 
-# pleat_executable(NAME SOURCES... LINK LIBS...): lands in build/bin. The target `programs` builds all of them.
+# pleat_executable(NAME SOURCES... LINK LIBS...): lands in build/bin. The target `programs` builds all of them; those of
+# services/ are installed.
 add_custom_target(programs)
 function(pleat_executable name)
   cmake_parse_arguments(ARG "" "" "SOURCES;LINK" ${ARGN})
@@ -26,6 +27,9 @@ function(pleat_executable name)
   target_link_libraries(${name} PRIVATE ${ARG_LINK})
   pleat_common_options(${name})
   add_dependencies(programs ${name})
+  if(CMAKE_CURRENT_SOURCE_DIR MATCHES "^${PROJECT_SOURCE_DIR}/services/")
+    install(TARGETS ${name} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+  endif()
 endfunction()
 
 # pleat_test(NAME SOURCES... LINK LIBS...): a GoogleTest program, one CTest entry each, run from the source root.

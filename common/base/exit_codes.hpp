@@ -8,6 +8,7 @@ namespace pleat {
 inline constexpr int kExitDone = 0;
 inline constexpr int kExitFailed = 1;
 inline constexpr int kExitWrongInput = 2;  ///< usage or input
+inline constexpr int kExitNotClean = 3;    ///< the result is there, with penetrations or self-intersections
 
 /// kExitWrongInput where the user's input is to blame, kExitFailed otherwise.
 inline int exit_code(ErrorCode code) {

@@ -137,6 +137,16 @@ fs::path executable_folder() {
   return failed ? fs::current_path() : self.parent_path();
 }
 
+fs::path shipped_file(const fs::path& name) {
+  std::error_code ignored;
+  const fs::path self = executable_folder();
+  for (fs::path folder = self; folder != folder.root_path(); folder = folder.parent_path())
+    if (fs::exists(folder / "deploy" / name, ignored)) return fs::proximate(folder / "deploy" / name, ignored);
+  const fs::path shared = self.parent_path() / "share" / "pleat" / name;
+  if (fs::exists(shared, ignored)) return fs::proximate(shared, ignored);
+  return "deploy" / name;
+}
+
 std::string last_lines(const fs::path& file, std::size_t count) {
   std::ifstream stream(file, std::ios::binary);
   if (!stream) return {};

@@ -55,6 +55,11 @@ void begin_log(const std::filesystem::path& log, const std::string& program);
 /// The folder that this executable lies in.
 std::filesystem::path executable_folder();
 
+/// What comes with Pleat, by its name below deploy/: "garments/tablecloth.obj". Looked for in the deploy/ of the
+/// folders that this executable lies in (a build), then in share/pleat/ beside its bin/ (an installation). Given
+/// relative to the current folder. Where it is in neither, deploy/NAME, so that messages name it.
+std::filesystem::path shipped_file(const std::filesystem::path& name);
+
 /// The last `count` lines that are neither empty nor the first of begin_log, joined by " | "; empty if there is no such
 /// file. Reads 8 KiB at most.
 std::string last_lines(const std::filesystem::path& file, std::size_t count);

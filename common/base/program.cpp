@@ -5,8 +5,54 @@
 #include <cstdio>
 #include <exception>
 #include <new>
+#include <vector>
 
 namespace pleat {
+namespace {
+
+/// Levenshtein's, with a swap of neighbours as one change.
+std::size_t edit_distance(const std::string& a, const std::string& b) {
+  std::vector<std::vector<std::size_t>> d(a.size() + 1, std::vector<std::size_t>(b.size() + 1));
+  for (std::size_t i = 0; i <= a.size(); ++i) d[i][0] = i;
+  for (std::size_t j = 0; j <= b.size(); ++j) d[0][j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      d[i][j] = std::min({d[i - 1][j] + 1, d[i][j - 1] + 1, d[i - 1][j - 1] + (a[i - 1] == b[j - 1] ? 0 : 1)});
+      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1])
+        d[i][j] = std::min(d[i][j], d[i - 2][j - 2] + 1);
+    }
+  }
+  return d[a.size()][b.size()];
+}
+
+/// "; did you mean --frames?" for the first word that the command line did not take, if something like it exists.
+std::string suggestion(const CLI::App& root) {
+  const CLI::App* app = &root;
+  while (!app->get_subcommands().empty()) app = app->get_subcommands().front();
+  std::vector<std::string> names;
+  for (const CLI::App* command : app->get_subcommands([](const CLI::App*) { return true; }))
+    names.push_back(command->get_name());
+  for (const CLI::Option* option : app->get_options()) {
+    for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
+  }
+  for (std::string word : root.remaining(true)) {
+    word = word.substr(0, word.find('='));
+    if (word.size() > 40) continue;
+    std::size_t least = std::max<std::size_t>(1, word.size() / 3) + 1;
+    std::string nearest;
+    for (const std::string& name : names) {
+      const std::size_t distance = edit_distance(word, name);
+      if (!name.empty() && distance < least) {
+        least = distance;
+        nearest = name;
+      }
+    }
+    if (!nearest.empty()) return "; did you mean " + nearest + "?";
+  }
+  return "";
+}
+
+}  // namespace
 
 void print_error(const std::string& name, const std::string& message) {
   std::string line = message;
@@ -32,7 +78,7 @@ int run_program(CLI::App& app, int argc, const char* const* argv, const std::fun
   } catch (const CLI::Success& success) {
     return app.exit(success);  // --help, --version
   } catch (const CLI::ParseError& error) {
-    print_error(name, std::string(error.what()) + " (see " + command_path(app) + " --help)");
+    print_error(name, std::string(error.what()) + suggestion(app) + " (see " + command_path(app) + " --help)");
     return kExitWrongInput;
   }
   try {

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstdio>
 #include <fstream>
-#include <span>
 #include <streambuf>
 #include <string_view>
 #include <vector>
@@ -13,16 +12,10 @@
 #include "common/base/error.hpp"
 #include "common/base/text_file.hpp"
 #include "common/base/whole_file.hpp"
-#include "common/mesh/triangulate.hpp"
+#include "common/mesh/polygons.hpp"
 
 namespace pleat {
 namespace {
-
-struct Corner {
-  std::uint32_t vertex;
-  std::uint32_t uv;  // kNoUv if absent
-};
-constexpr std::uint32_t kNoUv = 0xffffffffu;
 
 /// Lines as the format means them: ends of line of any system, a backslash at the end joins the next one, comments are
 /// no lines, marks of byte order are no characters.
@@ -68,21 +61,12 @@ class LogicalLines {
   std::size_t begin_ = 0, end_ = 0;
 };
 
-/// What the statements of a file say; polygons are whole.
-struct Statements {
-  std::vector<float> positions, uv;
-  std::vector<Corner> corners;
-  std::vector<std::size_t> ends;   ///< of each polygon's corners
-  std::vector<std::size_t> lines;  ///< where each polygon lies
-  std::string without_uv;          ///< "line 12, object 'prop'": the first corner without material coordinates, if any
-};
-
 class Reader {
  public:
   Reader(std::istream& stream, std::string name, const ObjLimits& limits)
       : name_(std::move(name)), lines_(stream, name_), limits_(limits) {}
 
-  Statements read() {
+  PolygonMesh read() {
     std::string line;
     while (lines_.next(line)) {
       rest_ = line;
@@ -116,7 +100,7 @@ class Reader {
     }
   }
 
-  /// Statements that say nothing about the shape are words. Anything else is a damaged line, and what it said is lost.
+  /// PolygonMesh that say nothing about the shape are words. Anything else is a damaged line, and what it said is lost.
   void check_ignored(std::string_view keyword) const {
     if (keyword.empty() || keyword.front() == '#') return;
     const auto is_letter = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); };
@@ -170,22 +154,24 @@ class Reader {
     if (value == 0) fail(std::string(what) + " index 0 (indices start at 1)");
     const long long index = value > 0 ? value - 1 : static_cast<long long>(count) + value;
     // A positive index may point forward in the file: checked at the end. The format's relative ones can't.
-    if (index < 0 || index >= kNoUv) fail(std::string(what) + " index " + std::to_string(value) + " is out of range");
+    if (index < 0 || index >= PolygonMesh::kNoUv)
+      fail(std::string(what) + " index " + std::to_string(value) + " is out of range");
     return static_cast<std::uint32_t>(index);
   }
 
   void read_face() {
-    std::vector<Corner>& corners = out_.corners;
+    std::vector<PolygonMesh::Corner>& corners = out_.corners;
     const std::size_t begin = corners.size();
     for (std::string_view word = next_word(); !word.empty() && word.front() != '#'; word = next_word()) {
       const auto slash = word.find('/');
-      Corner corner{read_index(word.substr(0, slash), out_.positions.size() / 3, "vertex"), kNoUv};
+      PolygonMesh::Corner corner{read_index(word.substr(0, slash), out_.positions.size() / 3, "vertex"),
+                                 PolygonMesh::kNoUv};
       if (slash != std::string_view::npos) {
         const std::string_view after = word.substr(slash + 1);
         const std::string_view uv = after.substr(0, after.find('/'));
         if (!uv.empty()) corner.uv = read_index(uv, out_.uv.size() / 2, "material coordinate");
       }
-      if (corner.uv == kNoUv && out_.without_uv.empty()) {
+      if (corner.uv == PolygonMesh::kNoUv && out_.without_uv.empty()) {
         out_.without_uv = "line " + std::to_string(lines_.number());
         if (!object_.empty()) out_.without_uv += ", object '" + object_.substr(0, 60) + "'";
       }
@@ -197,7 +183,7 @@ class Reader {
       fail("a face with " + std::to_string(corners.size() - begin) + " different corners");
     }
     out_.ends.push_back(corners.size());
-    out_.lines.push_back(lines_.number());
+    out_.places.push_back(static_cast<std::uint32_t>(lines_.number()));
     check_limit(corners.size() - 2 * out_.ends.size(), limits_.max_faces, "faces");
   }
 
@@ -206,66 +192,8 @@ class Reader {
   ObjLimits limits_;
   std::string_view rest_;
   std::string object_;
-  Statements out_;
+  PolygonMesh out_;
 };
-
-/// The corners of all polygons' triangles.
-std::vector<Corner> cut_polygons(const Statements& file, const std::string& name) {
-  const std::size_t vertices = file.positions.size() / 3;
-  std::vector<Corner> corners;
-  std::vector<Eigen::Vector3f> points;
-  std::size_t begin = 0;
-  for (std::size_t p = 0; p < file.ends.size(); begin = file.ends[p++]) {
-    const std::span<const Corner> polygon(file.corners.data() + begin, file.ends[p] - begin);
-    if (polygon.size() == 3) {
-      corners.insert(corners.end(), polygon.begin(), polygon.end());
-      continue;
-    }
-    points.clear();
-    for (const Corner& corner : polygon) {
-      if (corner.vertex >= vertices) {
-        throw_invalid_argument(name + ":" + std::to_string(file.lines[p]) + ": a face names index " +
-                               std::to_string(corner.vertex) + ", but there are " + std::to_string(vertices) +
-                               " vertices");
-      }
-      points.emplace_back(file.positions.data() + 3 * std::size_t{corner.vertex});
-    }
-    const auto triangles = triangulate(points);
-    if (!triangles) {
-      throw_invalid_argument(name + ":" + std::to_string(file.lines[p]) + ": the polygon of " +
-                             std::to_string(polygon.size()) + " corners crosses itself");
-    }
-    for (const auto& triangle : *triangles) {
-      for (const std::uint32_t k : triangle) corners.push_back(polygon[k]);
-    }
-  }
-  return corners;
-}
-
-Topology to_topology(Statements file, const std::string& name, ObjUse use) {
-  const bool with_uv = use == ObjUse::kGarment && std::any_of(file.corners.begin(), file.corners.end(),
-                                                              [](const Corner& c) { return c.uv != kNoUv; });
-  if (with_uv && !file.without_uv.empty()) {
-    throw_invalid_argument(
-        name + ": some face corners have material coordinates (`vt`) and some do not, the first at " + file.without_uv);
-  }
-  const std::vector<Corner> corners = cut_polygons(file, name);
-  Topology t;
-  const auto faces = static_cast<Eigen::Index>(corners.size() / 3);
-  t.rest_positions =
-      Eigen::Map<Positions>(file.positions.data(), static_cast<Eigen::Index>(file.positions.size() / 3), 3);
-  t.faces.resize(faces, 3);
-  if (with_uv) {
-    t.uv = Eigen::Map<Uv>(file.uv.data(), static_cast<Eigen::Index>(file.uv.size() / 2), 2);
-    t.uv_faces.resize(faces, 3);
-  }
-  for (std::size_t i = 0; i < corners.size(); ++i) {
-    t.faces.data()[i] = corners[i].vertex;
-    if (with_uv) t.uv_faces.data()[i] = corners[i].uv;
-  }
-  validate_topology(t, name);
-  return t;
-}
 
 std::ifstream open_obj(const std::filesystem::path& path) {
   std::ifstream stream(path, std::ios::binary);
@@ -274,70 +202,28 @@ std::ifstream open_obj(const std::filesystem::path& path) {
   return stream;
 }
 
-/// Whether the polygon's corners are those of the triangles [first, first + n - 2).
-bool covers(std::span<const Corner> polygon, const Faces& triangles, Eigen::Index first) {
-  const auto count = static_cast<Eigen::Index>(polygon.size()) - 2;
-  if (count > triangles.rows() - first) return false;
-  if (count == 1) {
-    // Any of the three corners may come first.
-    for (int shift = 0; shift < 3; ++shift) {
-      bool equal = true;
-      for (int k = 0; k < 3; ++k)
-        equal = equal && polygon[static_cast<std::size_t>((k + shift) % 3)].vertex == triangles(first, k);
-      if (equal) return true;
-    }
-    return false;
-  }
-  std::vector<std::uint32_t> left, right;
-  for (const Corner& corner : polygon) left.push_back(corner.vertex);
-  for (Eigen::Index f = first; f < first + count; ++f) {
-    for (int k = 0; k < 3; ++k) right.push_back(triangles(f, k));
-  }
-  for (auto* list : {&left, &right}) {
-    std::sort(list->begin(), list->end());
-    list->erase(std::unique(list->begin(), list->end()), list->end());
-  }
-  return left == right;
-}
-
 }  // namespace
 
-Topology read_obj(std::istream& stream, const std::string& name, ObjUse use, const ObjLimits& limits) {
+Topology read_obj(std::istream& stream, const std::string& name, MeshUse use, const ObjLimits& limits) {
   return to_topology(Reader(stream, name, limits).read(), name, use);
 }
 
-Topology read_obj(const std::filesystem::path& path, ObjUse use, const ObjLimits& limits) {
+Topology read_obj(const std::filesystem::path& path, MeshUse use, const ObjLimits& limits) {
   std::ifstream stream = open_obj(path);
   return read_obj(stream, path.string(), use, limits);
 }
 
 Positions read_obj_frame(const std::filesystem::path& path, const Topology& rest, const ObjLimits& limits) {
   std::ifstream stream = open_obj(path);
-  const Statements file = Reader(stream, path.string(), limits).read();
-  const auto vertices = static_cast<Eigen::Index>(file.positions.size() / 3);
-  if (vertices != rest.vertex_count()) {
-    throw_invalid_argument(path.string() + " has " + std::to_string(vertices) + " vertices, the rest mesh " +
-                           std::to_string(rest.vertex_count()));
-  }
-  std::size_t begin = 0;
-  Eigen::Index face = 0;
-  for (std::size_t p = 0; p < file.ends.size(); begin = file.ends[p++]) {
-    const std::span<const Corner> polygon(file.corners.data() + begin, file.ends[p] - begin);
-    if (!covers(polygon, rest.faces, face)) {
-      throw_invalid_argument(path.string() + ":" + std::to_string(file.lines[p]) +
-                             ": its faces are not those of the rest mesh");
-    }
-    face += static_cast<Eigen::Index>(polygon.size()) - 2;
-  }
-  if (face != rest.face_count()) throw_invalid_argument(path.string() + ": its faces are not those of the rest mesh");
-  return Eigen::Map<const Positions>(file.positions.data(), vertices, 3);
+  return to_frame(Reader(stream, path.string(), limits).read(), rest, path.string());
 }
 
 void write_obj(const std::filesystem::path& path, const Topology& topology) {
   write_obj(path, topology, topology.rest_positions);
 }
 
-void write_obj(const std::filesystem::path& path, const Topology& topology, const Positions& positions) {
+void write_obj(const std::filesystem::path& path, const Topology& topology, const Positions& positions,
+               std::string_view comment) {
   if (positions.rows() != topology.vertex_count()) {
     throw_invalid_argument(path.string() + ": " + std::to_string(positions.rows()) + " positions for a mesh of " +
                            std::to_string(topology.vertex_count()) + " vertices");
@@ -345,6 +231,7 @@ void write_obj(const std::filesystem::path& path, const Topology& topology, cons
   WholeFile file(path);
   file.write(kObjMark);
   file.write("\n");
+  file.write(comment);
   for (Eigen::Index v = 0; v < positions.rows(); ++v) {
     std::fprintf(file.stream(), "v %.9g %.9g %.9g\n", static_cast<double>(positions(v, 0)),
                  static_cast<double>(positions(v, 1)), static_cast<double>(positions(v, 2)));

@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "common/base/error.hpp"
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/pem.hpp"
 #include "health.grpc.pb.h"
 
@@ -68,6 +69,7 @@ std::shared_ptr<grpc::Channel> create_channel(const std::string& address, const 
     if (!tls.server_name.empty()) arguments.SetSslTargetNameOverride(tls.server_name);
   } else {
     if (!is_local_address(address)) throw_invalid_argument("address " + address + " is not local and needs TLS");
+    if (address.starts_with("unix:")) check_runtime_folder(address.substr(5), false);
     credentials = grpc::InsecureChannelCredentials();
   }
   arguments.SetMaxReceiveMessageSize(kMaxMessageBytes);

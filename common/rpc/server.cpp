@@ -21,6 +21,7 @@
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/pem.hpp"
 
 namespace pleat::rpc {
@@ -109,6 +110,7 @@ Server::Server(const ServerOptions& options, const std::vector<HostedService>& s
       throw_invalid_argument("socket path " + path + " is longer than " +
                              std::to_string(sizeof(sockaddr_un::sun_path) - 1) + " characters");
     }
+    check_runtime_folder(path, true);
     std::error_code error;  // a folder that can't be made is reported by listening
     std::filesystem::create_directories(std::filesystem::path(path).parent_path(), error);
     clear_socket(path);

@@ -22,6 +22,7 @@ std::vector<Command> add_health(CLI::App& root);
 std::vector<Command> add_run(CLI::App& root);
 std::vector<Command> add_enhance(CLI::App& root);
 std::vector<Command> add_dataset(CLI::App& root);
+std::vector<Command> add_check(CLI::App& root);
 std::vector<Command> add_export(CLI::App& root);
 std::vector<Command> add_body(CLI::App& root);
 std::vector<Command> add_eval(CLI::App& root);

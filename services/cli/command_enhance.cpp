@@ -9,7 +9,7 @@
 #include "common/base/text_file.hpp"
 #include "common/client/adapter/adapter.hpp"
 #include "common/client/cpp/client.hpp"
-#include "common/mesh/obj.hpp"
+#include "common/mesh/garment.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
@@ -24,15 +24,16 @@ namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
 constexpr double kDefaultFramesPerSecond = 25;
+constexpr std::uint64_t kAllFrames = ~std::uint64_t{0};
 
 struct EnhanceOptions {
   std::string rest, frames, out, model, detail, material, coordinator;
   std::vector<std::string> obstacles;
-  double fps = 0, timeout_s = 30;
+  double fps = 0, timeout_s = 30, scale = 1;
   std::uint32_t window = 0;
   std::optional<std::uint32_t> rounds;
   std::vector<std::uint32_t> held;
-  std::uint64_t count = 0;
+  std::uint64_t start = 0, end = kAllFrames, count = kAllFrames;
   rpc::TlsOptions tls;
 };
 
@@ -58,14 +59,24 @@ class StandIn {
 
 int enhance(const EnhanceOptions& options) {
   const v1::Detail detail = choose_detail(options.detail, options.model);
-  const Topology rest = read_obj(options.rest);
-  validate_material_coordinates(rest, options.rest);
+  std::vector<std::string> notes;
+  const Topology rest = read_garment(options.rest, notes, options.scale);
   const auto sequence = presentation::open_frame_sequence(options.frames, rest);
+  if (!sequence->warning().empty()) notes.push_back(sequence->warning());
   const presentation::ObstacleInput obstacles(options.obstacles);
+  notes.insert(notes.end(), obstacles.notes().begin(), obstacles.notes().end());
   const bool own_obstacles = !options.obstacles.empty();
-  std::uint64_t count = sequence->frame_count();
-  if (options.count > 0) count = std::min(count, options.count);
-  if (count == 0) throw_invalid_argument(options.frames + ": no frame");
+  const std::uint64_t end = std::min<std::uint64_t>(sequence->frame_count(), options.end);
+  if (options.start >= end) {
+    throw_invalid_argument(options.frames + ": no frame from " + std::to_string(options.start) + " to " +
+                           std::to_string(end) + " of " + std::to_string(sequence->frame_count()));
+  }
+  const std::uint64_t start = options.start, count = std::min(end - start, options.count);
+  const auto frame = [&](std::uint64_t k) -> Positions {
+    return static_cast<float>(options.scale) * sequence->positions(start + k);
+  };
+  require_frame_of(frame(0), rest, options.frames + " frame " + std::to_string(start), options.rest);
+  print_notes(notes);
   double frame_time = sequence->frame_time_s() > 0 ? sequence->frame_time_s() : 1 / kDefaultFramesPerSecond;
   if (options.fps > 0) frame_time = 1 / options.fps;
   const fs::path out = options.out;
@@ -113,18 +124,19 @@ int enhance(const EnhanceOptions& options) {
   StandIn stand_in(rest, info.fine);
   std::optional<Error> first_error;
   Progress progress("frames", count);
-  const Clock::time_point start = Clock::now();
+  const Clock::time_point began = Clock::now();
   try {
     session.run(
         count,
         [&](std::uint64_t k) {
           if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
-          client::CoarseFrame frame;
-          frame.index = k;
-          frame.time_s = frame_time * static_cast<double>(k);
-          frame.positions = client::from_positions(sequence->positions(k));
-          frame.obstacles = client::from_obstacles(own_obstacles ? obstacles.at(k) : sequence->obstacles(k));
-          return frame;
+          client::CoarseFrame coarse;
+          coarse.index = k;
+          coarse.time_s = frame_time * static_cast<double>(k);
+          coarse.positions = client::from_positions(frame(k));
+          coarse.obstacles =
+              client::from_obstacles(own_obstacles ? obstacles.at(start + k) : sequence->obstacles(start + k));
+          return coarse;
         },
         [&](client::EnhancedFrame answer, const client::CoarseFrame& input) {
           if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
@@ -144,7 +156,7 @@ int enhance(const EnhanceOptions& options) {
     throw Error(error.code(), std::string(error.what()) + "; " + std::to_string(recorder.frames()) + " frames are in " +
                                   (out / "result.h5").string());
   }
-  const double wall_s = std::chrono::duration<double>(Clock::now() - start).count();
+  const double wall_s = std::chrono::duration<double>(Clock::now() - began).count();
   progress.finish();
   recorder.finish();
   if (recorder.frame_errors() == count)
@@ -158,8 +170,7 @@ int enhance(const EnhanceOptions& options) {
   summary.wall_s = wall_s;
   summary.extra["detail"] = name_of(info.detail);
   summary.extra["frame_errors"] = recorder.frame_errors();
-  write_reports(out, std::move(summary));
-  return kExitDone;
+  return write_reports(out, std::move(summary));
 }
 
 }  // namespace
@@ -167,10 +178,11 @@ int enhance(const EnhanceOptions& options) {
 std::vector<Command> add_enhance(CLI::App& root) {
   CLI::App* app = root.add_subcommand("enhance", "enhance coarse frames made elsewhere; leaves result.h5 and a report");
   const auto options = std::make_shared<EnhanceOptions>();
-  app->add_option("--rest", options->rest, "the coarse garment at rest, OBJ with material coordinates (vt) in metres")
+  app->add_option("--rest", options->rest, "the coarse garment at rest, OBJ or PLY with material coordinates (vt)")
       ->required();
   app->add_option("--frames", options->frames,
-                  "coarse frames: folder, 'glob*.obj', cloth_%04d.obj, FILE.pc2, result.h5, DATASET/sequences/NAME.h5")
+                  "coarse frames: folder, 'glob*.obj', cloth_%04d.obj, FILE.pc2, .mdd, .npy, .h5:/array, result.h5, "
+                  "DATASET/sequences/NAME.h5")
       ->required();
   app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
   app->add_option("--model", options->model,
@@ -186,7 +198,14 @@ std::vector<Command> add_enhance(CLI::App& root) {
       "sphere:X,Y,Z,RADIUS, capsule:X,Y,Z,X,Y,Z,RADIUS, MESH.obj, or MESH.obj@FRAMES if it moves; may be repeated");
   app->add_option("--fps", options->fps, "frames a second of motion (default: the file's, or 25)")
       ->check(positive_number());
-  app->add_option("--count", options->count, "enhance the first COUNT frames only")->check(positive_number());
+  app->add_option("--start", options->start, "the first frame, counted from 0")
+      ->capture_default_str()
+      ->check(natural_number());
+  app->add_option("--end", options->end, "the frame after the last (default: all)")->check(positive_number());
+  app->add_option("--count", options->count, "COUNT frames at most")->check(positive_number());
+  app->add_option("--scale", options->scale, "metres per unit of the rest mesh and the frames: 0.01 for centimetres")
+      ->capture_default_str()
+      ->check(positive_number());
   app->add_option("--rounds", options->rounds,
                   "rounds of subdivision from the coarse to the fine mesh (default: the bundle's)")
       ->check(CLI::Range(0, 5));

@@ -11,6 +11,7 @@ namespace {
 
 struct ExportOptions {
   std::string result, format, out, which = "enhanced";
+  bool overwrite = false;
 };
 
 int export_result(const ExportOptions& options) {
@@ -20,10 +21,13 @@ int export_result(const ExportOptions& options) {
   const fs::path folder =
       options.out.empty() ? fs::path(options.result).parent_path() / options.format : fs::path(options.out);
   Progress progress("frames", input.frame_count);
-  const auto files = presentation::export_frames(input, format, folder, [&progress](std::size_t done) {
-    progress.update(done);
-    if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted after " + std::to_string(done) + " frames");
-  });
+  const auto files = presentation::export_frames(
+      input, format, folder,
+      [&progress](std::size_t done) {
+        progress.update(done);
+        if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted after " + std::to_string(done) + " frames");
+      },
+      options.overwrite);
   progress.finish();
   for (const fs::path& file : files) std::printf("%s\n", file.c_str());
   return kExitDone;
@@ -35,13 +39,14 @@ std::vector<Command> add_export(CLI::App& root) {
   CLI::App* app = root.add_subcommand("export", "write a result as files that other tools open");
   const auto options = std::make_shared<ExportOptions>();
   app->add_option("result", options->result, "result.h5, finished or .partial")->required();
-  app->add_option("--format", options->format, "obj, ply (a file a frame), pc2, mdd (point cache and OBJ), usda")
+  app->add_option("--format", options->format, "obj, ply (a file a frame), pc2, mdd (point cache and OBJ), usda, glb")
       ->required()
-      ->check(CLI::IsMember({"obj", "ply", "pc2", "mdd", "usda"}));
+      ->check(CLI::IsMember({"obj", "ply", "pc2", "mdd", "usda", "glb"}));
   app->add_option("--out", options->out, "folder (default: one named after the format, beside the result)");
   app->add_option("--which", options->which, "which mesh; fine is the simulated reference")
       ->capture_default_str()
       ->check(CLI::IsMember({"enhanced", "coarse", "fine"}));
+  app->add_flag("--overwrite", options->overwrite, "also replace files that are no earlier exports");
   return {{app, [options] { return export_result(*options); }}};
 }
 

@@ -28,7 +28,7 @@ struct RunOptions {
   std::uint32_t frames = 0;
   bool reference = false;
   bool untangle = false;
-  double timeout_s = 30;
+  double timeout_s = 30, scale = 1;
   rpc::TlsOptions tls;
 };
 
@@ -72,7 +72,9 @@ class Run {
 
   int operator()() {
     const v1::Detail detail = choose_detail(options_.detail, options_.model);
-    v1::Scene scene = presentation::read_scene_file(options_.scene);
+    std::vector<std::string> notes;
+    v1::Scene scene = presentation::read_scene_file(options_.scene, {options_.frames, options_.scale, &notes});
+    print_notes(notes);
     if (options_.untangle) scene.set_untangle(true);
     const bool local = options_.coordinator.empty();
     ModelChoice model{options_.model, {}};
@@ -202,8 +204,7 @@ class Run {
     const v1::Detail detail = job.summary().detail();
     summary.extra["detail"] = name_of(detail == v1::DETAIL_UNSPECIFIED ? v1::DETAIL_NETWORK : detail);
     summary.extra["frame_errors"] = job.summary().frame_errors();
-    write_reports(out_, std::move(summary));
-    return kExitDone;
+    return write_reports(out_, std::move(summary));
   }
 
   RunOptions options_;
@@ -230,6 +231,9 @@ std::vector<Command> add_run(CLI::App& root) {
                 "also simulate the tracked fine cloth, for comparison; the time of the run excludes it");
   app->add_flag("--untangle", options->untangle,
                 "relax a start with self-intersections or penetrations until it is clean, instead of refusing it");
+  app->add_option("--scale", options->scale, "metres per unit of the garment's file: 0.01 for centimetres")
+      ->capture_default_str()
+      ->check(positive_number());
   app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
       ->capture_default_str()
       ->check(positive_number());

@@ -6,6 +6,7 @@
 #include "common/base/machine.hpp"
 #include "common/base/own_file.hpp"
 #include "common/store/hdf5.hpp"
+#include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
 
 namespace pleat::cli {
@@ -27,6 +28,16 @@ bool has_bundle(const fs::path& folder) {
 
 }  // namespace
 
+void print_notes(const std::vector<std::string>& notes) {
+  constexpr std::size_t kMost = 3;
+  for (std::size_t i = 0; i < notes.size() && i < kMost; ++i) {
+    const bool more = i + 1 == kMost && notes.size() > kMost;
+    std::fprintf(
+        stderr, "note: %s\n",
+        more ? (std::to_string(notes.size() - i) + " more notes; `pleat check` prints all").c_str() : notes[i].c_str());
+  }
+}
+
 void make_output_folder(const fs::path& folder) {
   make_writable_folder(folder);
   for (const char* name : {"result.h5", "result.h5.partial"}) {
@@ -35,7 +46,7 @@ void make_output_folder(const fs::path& folder) {
   for (const char* name : {"report.json", "report.html"}) require_replaceable(folder / name, kReportMarks);
 }
 
-void write_reports(const fs::path& folder, presentation::ReportSummary summary) {
+int write_reports(const fs::path& folder, presentation::ReportSummary summary) {
   summary.git_revision = git_revision();
   summary.extra["machine"] = machine_info();
   const presentation::ReportInput input = presentation::read_report_input(folder / "result.h5", std::move(summary));
@@ -56,6 +67,14 @@ void write_reports(const fs::path& folder, presentation::ReportSummary summary) 
               static_cast<unsigned long long>(report.value("self_intersections", 0ull)));
   for (const char* name : {"result.h5", "report.json", "report.html"}) std::printf("%s\n", (folder / name).c_str());
   std::fflush(stdout);
+  const auto penetrations = report.value("penetrations", 0ull),
+             intersections = report.value("self_intersections", 0ull);
+  if (penetrations == 0 && intersections == 0) return kExitDone;
+  print_error("pleat", (folder / "result.h5").string() + ": " + std::to_string(penetrations) + " penetrations and " +
+                           std::to_string(intersections) + " self-intersections are left; of " +
+                           std::to_string(input.frame_count) + " coarse frames " +
+                           std::to_string(report.value("input_intersects", 0ull)) + " were not free of them");
+  return kExitNotClean;
 }
 
 v1::Detail choose_detail(const std::string& text, const std::string& model) {

@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "common/frame/detail.hpp"
 #include "services/presentation/report/report.hpp"
@@ -13,8 +14,12 @@ namespace pleat::cli {
 /// can't be made or written, kAlreadyExists for a file there that is no result or report; it is named.
 void make_output_folder(const std::filesystem::path& folder);
 
-/// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout.
-void write_reports(const std::filesystem::path& folder, presentation::ReportSummary summary);
+/// Prints what is worth knowing about the input on stderr, three lines at most.
+void print_notes(const std::vector<std::string>& notes);
+
+/// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout. Returns the exit code:
+/// kExitNotClean, with a line on stderr, if penetrations or self-intersections are left.
+int write_reports(const std::filesystem::path& folder, presentation::ReportSummary summary);
 
 /// "draping" and, if the text is a path, its folder: "deploy/models/draping.pt" -> {draping, deploy/models}.
 struct ModelChoice {

@@ -14,7 +14,18 @@ constexpr const char* kFooter =
     "  pleat enhance --rest garment.obj --frames 'frames/*.obj' --out out/mine\n"
     "  pleat export out/demo/result.h5 --format pc2\n"
     "\n"
-    "Exit codes: 0 done, 1 failed, 2 wrong usage or input.";
+    "`pleat help COMMAND` lists a command's options.\n"
+    "Exit codes: 0 done, 1 failed, 2 wrong usage or input, 3 done, but not free of intersections.";
+
+/// `pleat help dataset generate` is `pleat dataset generate --help`.
+std::vector<const char*> with_help(int argc, const char* const* argv) {
+  std::vector<const char*> words(argv, argv + argc);
+  if (words.size() > 1 && std::string_view(words[1]) == "help") {
+    words.erase(words.begin() + 1);
+    words.push_back("--help");
+  }
+  return words;
+}
 
 }  // namespace
 
@@ -43,10 +54,11 @@ int run_pleat(int argc, const char* const* argv) {
   root.require_subcommand(0, 1);
   std::vector<Command> commands;
   for (const auto add :
-       {add_up, add_run, add_enhance, add_export, add_body, add_dataset, add_eval, add_bench, add_health})
+       {add_up, add_run, add_enhance, add_check, add_export, add_body, add_dataset, add_eval, add_bench, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
   root.footer(kFooter);
-  return run_program(root, argc, argv, [&] {
+  const std::vector<const char*> words = with_help(argc, argv);
+  return run_program(root, static_cast<int>(words.size()), words.data(), [&] {
     for (const Command& command : commands)
       if (command.app->parsed()) return command.run();
     print_error("pleat", command_path(root) + ": no command given (see " + command_path(root) + " --help)");

@@ -30,7 +30,7 @@ void ResultRecorder::open(const client::EnhancedFrame& first, const std::vector<
   file.obstacles = options_.obstacles;
   for (const ObstacleFrame& obstacle : obstacles) file.obstacle_vertices.push_back(obstacle.positions.rows());
   file.stages = stages_;
-  file.counts = {"penetrations", "self_intersections", "frame_errors"};
+  file.counts = {"penetrations", "self_intersections", "frame_errors", "input_intersects"};
   folds_ = std::find(stages_.begin(), stages_.end(), "fold") != stages_.end();
   if (folds_) file.counts.insert(file.counts.end(), {"fold_steps", "fold_restarts"});
   writer_.emplace(options_.path, file);
@@ -53,7 +53,8 @@ void ResultRecorder::add(const client::EnhancedFrame& frame, Positions coarse, s
     if (found != stages_.end())
       out.stages_ms[static_cast<std::size_t>(found - stages_.begin())] += static_cast<float>(time.ms);
   }
-  out.counts = {frame.report.penetrations_after, frame.report.self_intersections_after, frame.error ? 1u : 0u};
+  out.counts = {frame.report.penetrations_after, frame.report.self_intersections_after, frame.error ? 1u : 0u,
+                frame.report.input_intersects ? 1u : 0u};
   if (folds_) {
     const client::FoldReport fold = frame.fold.value_or(client::FoldReport());
     out.counts.insert(out.counts.end(), {fold.steps, fold.restarted ? 1u : 0u});

@@ -1,11 +1,12 @@
 // The conversion service.
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/server.hpp"
 #include "services/conversion/service.hpp"
 
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-conversion", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = "unix:/tmp/pleat/conversion.sock";
+    server.listen = pleat::default_address("conversion");
     pleat::conversion::ServiceOptions conversion;
     pleat::config::Options options("pleat-conversion", "Coarse meshes to geometry images, fine images to meshes.",
                                    "PLEAT_CONVERSION_");

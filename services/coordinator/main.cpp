@@ -1,6 +1,7 @@
 // pleat-coordinator: sequences the stages per frame; jobs that end in a result file, and live sessions.
 #include <spdlog/spdlog.h>
 
+#include "common/base/runtime_folder.hpp"
 #include "common/config/options.hpp"
 #include "common/rpc/server.hpp"
 #include "services/coordinator/service.hpp"
@@ -9,7 +10,7 @@ namespace {
 
 int run(int argc, char** argv) {
   pleat::rpc::ServerOptions server;
-  server.listen = "unix:/tmp/pleat/coordinator.sock";
+  server.listen = pleat::default_address("coordinator");
   pleat::coordinator::CoordinatorOptions coordinator;
 
   pleat::config::Options options("pleat-coordinator", "Sequences the stages per frame: jobs and live sessions.",

@@ -36,7 +36,7 @@ void set_fine(PipelineFrame& frame, const ResultFrame& stored) {
 }  // namespace
 
 JobColumns job_columns(v1::Detail detail) {
-  JobColumns columns{stage_names(detail), {"penetrations", "self_intersections", "frame_errors"}};
+  JobColumns columns{stage_names(detail), {"penetrations", "self_intersections", "frame_errors", "input_intersects"}};
   columns.stages.insert(columns.stages.begin(), "simulation");
   columns.stages.push_back("store");
   if (uses_fold(detail)) columns.counts.insert(columns.counts.end(), {"fold_steps", "fold_restarts"});
@@ -61,6 +61,7 @@ ResultFrame to_result_frame(const PipelineFrame& frame, const Subdivision& subdi
       {"penetrations", frame.report.penetrations_after()},
       {"self_intersections", frame.report.self_intersections_after()},
       {"frame_errors", frame.error ? 1U : 0U},
+      {"input_intersects", frame.report.input_intersects() ? 1U : 0U},
       {"fold_steps", frame.fold.steps()},
       {"fold_restarts", frame.fold.restarted() ? 1U : 0U}};
   for (const std::string& name : columns.counts) result.counts.push_back(counts.at(name));

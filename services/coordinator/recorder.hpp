@@ -23,8 +23,8 @@ struct JobColumns {
   /// In the order of the pipeline. `store` is the time that writing the frame before took: a frame's own is not known
   /// before it is written.
   std::vector<std::string> stages;
-  /// penetrations, self_intersections, frame_errors (1: the frame failed and has the upsampled coarse mesh), and of the
-  /// fold step fold_steps, fold_restarts.
+  /// penetrations, self_intersections, frame_errors (1: the frame failed and has the upsampled coarse mesh),
+  /// input_intersects (1: the coarse frame was not clean itself), and of the fold step fold_steps, fold_restarts.
   std::vector<std::string> counts;
 };
 /// detail: checked.

@@ -88,6 +88,7 @@ EventPtr read_event(const ResultReader& reader, std::uint64_t index) {
     enhanced.mutable_fold()->set_steps(count("fold_steps"));
     enhanced.mutable_fold()->set_restarted(count("fold_restarts") != 0);
   }
+  enhanced.mutable_report()->set_input_intersects(count("input_intersects") != 0);
   for (std::size_t i = 0; i < stored.stages_ms.size(); ++i) {
     v1::StageTime& time = *enhanced.add_stage_times();
     time.set_stage(reader.info().stages[i]);

@@ -9,6 +9,7 @@
 #include <set>
 #include <string>
 
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/channel.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
@@ -19,11 +20,11 @@ namespace pleat::coordinator {
 
 struct CoordinatorOptions {
   /// Comma-separated addresses: the replicas of each service.
-  std::string simulation = "unix:/tmp/pleat/simulation.sock";
-  std::string conversion = "unix:/tmp/pleat/conversion.sock";
-  std::string superres = "unix:/tmp/pleat/superres.sock";
-  std::string fold = "unix:/tmp/pleat/fold.sock";
-  std::string refinement = "unix:/tmp/pleat/refinement.sock";
+  std::string simulation = default_address("simulation");
+  std::string conversion = default_address("conversion");
+  std::string superres = default_address("superres");
+  std::string fold = default_address("fold");
+  std::string refinement = default_address("refinement");
   std::string data = "pleat-data";  ///< folder of the jobs
   rpc::TlsOptions service_tls;      ///< towards the services
   double give_up_s = 30;            ///< a service that is away this long fails its sessions

@@ -2,6 +2,7 @@
 
 #include <cstdio>
 
+#include "common/base/process.hpp"
 #include "common/base/program.hpp"
 #include "services/dataset/verify.hpp"
 
@@ -25,8 +26,11 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
       ->check(natural_number());
   app.add_option("--seed", choice.seed, "seed of the scenes")->capture_default_str()->check(natural_number());
   app.add_option("--workers", choice.workers, "processes (default: one a processor)")->check(positive_number());
-  app.add_option("--garment", choice.garment, "coarse garment, OBJ")->capture_default_str();
-  app.add_option("--material", choice.material, "material, ARCSim JSON")->capture_default_str();
+  app.add_option("--garment", choice.garment, "coarse garment, OBJ or PLY (default: the shipped tablecloth)");
+  app.add_option("--garment-scale", choice.garment_scale, "metres per unit of the garment's file: 0.01 for centimetres")
+      ->capture_default_str()
+      ->check(positive_number());
+  app.add_option("--material", choice.material, "material, ARCSim JSON (default: gray interlock)");
   app.add_flag("--deflate,!--no-deflate", choice.deflate, "compress finished sequences (default: yes)");
 }
 
@@ -43,7 +47,10 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   options.scenes.tracked = choice.fine != "free";
   options.scenes.springs = choice.fine == "springs";
   options.scenes.garment = choice.garment;
+  if (choice.garment.empty()) options.scenes.garment = shipped_file("garments/tablecloth.obj");
+  options.scenes.garment_scale = choice.garment_scale;
   options.scenes.material = choice.material;
+  if (choice.material.empty()) options.scenes.material = shipped_file("materials/gray-interlock.json");
   options.workers = choice.workers;
   options.deflate = choice.deflate;
   options.git_revision = git_revision;

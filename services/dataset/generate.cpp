@@ -137,7 +137,8 @@ std::map<std::string, std::uint64_t> inspect(const GenerateOptions& options, con
 }  // namespace
 
 void generate(const GenerateOptions& options, const std::function<void(const Progress&)>& progress) {
-  std::vector<SequencePlan> plans = plan_sequences(options.scenes);
+  std::vector<std::string> notes;
+  std::vector<SequencePlan> plans = plan_sequences(options.scenes, &notes);
   DatasetMaster master = make_master(options, plans);
   const std::map<std::string, std::uint64_t> complete = inspect(options, plans, master);
   write_dataset_master(options.folder, master);
@@ -172,6 +173,7 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
     now.message = message;
     progress(now);
   };
+  for (const std::string& note : notes) report("note: " + note);
 
   std::vector<Worker> workers;
   std::optional<Error> failure;

@@ -14,7 +14,7 @@ struct Progress {
   std::uint64_t frames = 0;
   double elapsed_s = 0;
   double left_s = 0;         ///< estimated from this run's speed; 0 until a frame is done
-  std::string message = {};  ///< a line for people when a sequence begins or ends; otherwise empty
+  std::string message = {};  ///< a line for people: a note on the garment, a sequence that begins or ends
 };
 
 struct GenerateOptions {

@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <random>
@@ -10,7 +11,7 @@
 #include "common/base/error.hpp"
 #include "common/base/random.hpp"
 #include "common/mesh/connectivity.hpp"
-#include "common/mesh/obj.hpp"
+#include "common/mesh/garment.hpp"
 
 namespace pleat::dataset {
 namespace {
@@ -29,25 +30,57 @@ class Random {
   std::mt19937_64 engine_;
 };
 
-/// Boundary vertices within a hundredth of the cloth's size of its upper edge (the smallest z of the flat rest shape,
-/// which becomes the top when the cloth is tilted about x), ordered along x.
+/// Whether the garment is modelled as it hangs (y up) and not lying flat.
+bool is_upright(const Topology& cloth) {
+  const Eigen::RowVector3f size = cloth.rest_positions.colwise().maxCoeff() - cloth.rest_positions.colwise().minCoeff();
+  return size.y() > 0.25f * size.maxCoeff();
+}
+
+/// The vertices that hold a cloth, along its upper rim. Of one that lies flat: boundary vertices within a hundredth of
+/// its size of its smallest z, which becomes the top when it is tilted about x, along x. Of one that is upright: the
+/// highest vertices that lie on a boundary, within a hundredth of its height, else all within that of its top.
 std::vector<std::uint32_t> upper_edge(const Topology& cloth) {
   const Connectivity connectivity = build_connectivity(cloth.vertex_count(), cloth.faces);
   std::vector<char> boundary(static_cast<std::size_t>(cloth.vertex_count()), 0);
   for (const Edge& edge : connectivity.edges) {
     if (edge.f1 == kNone) boundary[edge.v0] = boundary[edge.v1] = 1;
   }
-  const float top = cloth.rest_positions.col(2).minCoeff();
-  const float size = cloth.rest_positions.col(2).maxCoeff() - top;
+  const bool upright = is_upright(cloth);
+  const Eigen::VectorXf depth =
+      upright ? Eigen::VectorXf(-cloth.rest_positions.col(1)) : Eigen::VectorXf(cloth.rest_positions.col(2));
+  const float size = depth.maxCoeff() - depth.minCoeff();
   std::vector<std::uint32_t> vertices;
-  for (Eigen::Index v = 0; v < cloth.vertex_count(); ++v) {
-    if (boundary[static_cast<std::size_t>(v)] != 0 && cloth.rest_positions(v, 2) < top + 0.01f * size) {
-      vertices.push_back(static_cast<std::uint32_t>(v));
+  for (const bool on_boundary : {true, false}) {
+    float top = std::numeric_limits<float>::max();
+    const auto usable = [&](Eigen::Index v) { return !on_boundary || boundary[static_cast<std::size_t>(v)] != 0; };
+    for (Eigen::Index v = 0; v < depth.size(); ++v) {
+      if (usable(v)) top = std::min(top, depth[v]);
     }
+    for (Eigen::Index v = 0; v < depth.size(); ++v) {
+      if (usable(v) && depth[v] < top + 0.01f * size) vertices.push_back(static_cast<std::uint32_t>(v));
+    }
+    if (!vertices.empty()) break;
   }
   std::sort(vertices.begin(), vertices.end(),
             [&](std::uint32_t a, std::uint32_t b) { return cloth.rest_positions(a, 0) < cloth.rest_positions(b, 0); });
   return vertices;
+}
+
+/// Further vertices of an upper edge that has fewer than `count`: those next to the top.
+void add_next_highest(const Topology& cloth, std::size_t count, std::vector<std::uint32_t>& edge) {
+  const int axis = is_upright(cloth) ? 1 : 2;
+  const float up = axis == 1 ? 1.0f : -1.0f;
+  std::vector<std::uint32_t> others;
+  for (std::uint32_t v = 0; v < static_cast<std::uint32_t>(cloth.vertex_count()); ++v) {
+    if (std::find(edge.begin(), edge.end(), v) == edge.end()) others.push_back(v);
+  }
+  std::stable_sort(others.begin(), others.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return up * cloth.rest_positions(a, axis) > up * cloth.rest_positions(b, axis);
+  });
+  for (const std::uint32_t v : others) {
+    if (edge.size() >= count) return;
+    edge.push_back(v);
+  }
 }
 
 /// First `pitch` about x (the upper edge rises), then `roll` about z and `yaw` about y.
@@ -85,11 +118,12 @@ simulation::Scene hitting_scene(const Topology& cloth, const std::vector<std::ui
                                 std::size_t index, bool test, Random& random) {
   simulation::Scene scene;
   scene.garment = cloth;
-  scene.transform.rotation = tilt(90, 0, 0);
+  const bool upright = is_upright(cloth);
+  if (!upright) scene.transform.rotation = tilt(90, 0, 0);
   scene.transform.translation.y() = 1.5;
   simulation::Handle handle;
   handle.name = "held";
-  handle.vertices = {edge.front(), edge.back()};
+  handle.vertices = upright ? edge : std::vector<std::uint32_t>{edge.front(), edge.back()};
   handle.hard = true;
   scene.handles = {handle};
   simulation::Obstacle sphere;
@@ -124,7 +158,7 @@ SetSize set_size(const std::string& set, bool full) {
   return {10, 3, full ? 400 : 150};
 }
 
-std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
+std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes) {
   if (std::max({options.train, options.test, options.extra}) > kMostSequences) {
     throw_invalid_argument("data set: at most " + std::to_string(kMostSequences) + " sequences of a kind");
   }
@@ -135,15 +169,17 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options) {
   if (options.set != "draping" && options.set != "hitting") {
     throw_invalid_argument("data set '" + options.set + "' is unknown; there are draping and hitting");
   }
-  const Topology cloth = read_obj(options.garment);
-  validate_material_coordinates(cloth, options.garment.string());
+  std::vector<std::string> unasked;
+  const Topology cloth = read_garment(options.garment, notes != nullptr ? *notes : unasked, options.garment_scale);
+  require_rest_lengths(cloth, options.garment.string());
   const simulation::Material material = simulation::read_material(options.material);
   std::vector<std::uint32_t> edge = upper_edge(cloth);
   const auto train = static_cast<std::size_t>(options.train), count = train + static_cast<std::size_t>(options.test),
              all = count + static_cast<std::size_t>(options.extra);
+  if (options.set == "draping" && edge.size() < count) add_next_highest(cloth, count, edge);
   if (options.set == "draping" && edge.size() < count) {
-    throw_invalid_argument("data set: " + std::to_string(count) + " sequences, but the upper edge of " +
-                           options.garment.string() + " has only " + std::to_string(edge.size()) + " vertices");
+    throw_invalid_argument("data set: " + std::to_string(count) + " sequences hang by a vertex each, but " +
+                           options.garment.string() + " has only " + std::to_string(edge.size()));
   }
   Random random(options.seed);
   const std::vector<std::uint32_t> ordered_edge = edge;

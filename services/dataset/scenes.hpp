@@ -36,7 +36,8 @@ struct SceneOptions {
   std::uint64_t seed = 1;
   bool tracked = true;             ///< the fine cloth follows the coarse one; false: free fine simulations ([DT-S])
   bool springs = false;            ///< tracked as [MFSR] section 4.2 has it, instead of by averages
-  std::filesystem::path garment;   ///< OBJ with material coordinates
+  std::filesystem::path garment;   ///< OBJ or PLY with material coordinates
+  double garment_scale = 1;        ///< metres per unit of the file
   std::filesystem::path material;  ///< ARCSim-format JSON
 };
 
@@ -45,7 +46,8 @@ struct SceneOptions {
 /// HITTING: two corners of the upper edge are held, and a sphere swings through the hanging cloth; one of its five
 /// sizes and three of its eight places are in the test split only, in turn. Deterministic for a seed. Throws
 /// kInvalidArgument (unknown set, counts), and what reading the files throws.
-std::vector<SequencePlan> plan_sequences(const SceneOptions& options);
+/// `notes`, if given, gets a line for what was changed in the garment or is unusual about it (read_garment).
+std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes = nullptr);
 
 /// The scene as a file beside deploy/scenes/*.json would have it. Only what plan_sequences sets.
 std::string scene_to_json(const simulation::Scene& scene, const std::filesystem::path& garment,

@@ -7,6 +7,7 @@
 #include <optional>
 #include <span>
 
+#include "common/base/process.hpp"
 #include "common/base/statistics.hpp"
 #include "common/mesh/obj.hpp"
 #include "services/conversion/geometry_image/image_map.hpp"
@@ -103,7 +104,7 @@ void add_round_trip_table(const Frames& frames, const std::string& prefix, Figur
 }  // namespace
 
 std::filesystem::path scene_or(const BenchOptions& options, const std::string& name) {
-  return options.scene.empty() ? std::filesystem::path("deploy/scenes") / (name + ".json") : options.scene;
+  return options.scene.empty() ? shipped_file(std::filesystem::path("scenes") / (name + ".json")) : options.scene;
 }
 
 Figure coarse_frame_time(const BenchOptions& options) { return time_of_frames(options, Mode::kCoarse, options.frames); }
@@ -208,7 +209,7 @@ Figures bench_conversion(const BenchOptions& options) {
   add_detail_times(coarse, figures);
   add_round_trip_table(frames, "", figures);
 
-  const Topology skirt = read_obj(std::filesystem::path("deploy/garments/skirt.obj"));
+  const Topology skirt = read_obj(shipped_file("garments/skirt.obj"));
   const Subdivision fine_skirt = subdivide(skirt, 2);
   const auto at = [&](std::size_t i) { return wrinkled_pair(skirt, fine_skirt, 0.7 * static_cast<double>(i)); };
   add_round_trip_table({skirt, fine_skirt.fine, at, options.frames}, "skirt/", figures);

@@ -1,11 +1,12 @@
 // The refinement service.
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/server.hpp"
 #include "services/refinement/service.hpp"
 
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-refinement", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = "unix:/tmp/pleat/refinement.sock";
+    server.listen = pleat::default_address("refinement");
     pleat::refinement::ServiceOptions refinement;
     pleat::config::Options options("pleat-refinement", "Makes fine frames free of penetrations and self-intersections.",
                                    "PLEAT_REFINEMENT_");

@@ -1,11 +1,12 @@
 // The simulation service.
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/server.hpp"
 #include "services/simulation/service.hpp"
 
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-simulation", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = "unix:/tmp/pleat/simulation.sock";
+    server.listen = pleat::default_address("simulation");
     pleat::simulation::ServiceOptions simulation;
     pleat::config::Options options("pleat-simulation", "Cloth physics: coarse frames, and fine frames that track them.",
                                    "PLEAT_SIMULATION_");

@@ -1,11 +1,12 @@
 // The super-resolution service.
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/server.hpp"
 #include "services/superres/service.hpp"
 
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-superres", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = "unix:/tmp/pleat/superres.sock";
+    server.listen = pleat::default_address("superres");
     pleat::superres::ServiceOptions superres;
     pleat::config::Options options("pleat-superres", "Fine geometry images from coarse ones, by a trained network.",
                                    "PLEAT_SUPERRES_");

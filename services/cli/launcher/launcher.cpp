@@ -73,13 +73,7 @@ struct Launcher::Running {
 
 fs::path default_models_folder() {
   if (const char* models = std::getenv("PLEAT_MODELS"); models != nullptr && *models != '\0') return models;
-  std::error_code ignored;
-  const fs::path self = executable_folder();
-  for (fs::path folder = self; folder != folder.root_path(); folder = folder.parent_path())
-    if (fs::is_directory(folder / "deploy" / "models", ignored)) return folder / "deploy" / "models";
-  const fs::path shared = self.parent_path() / "share" / "pleat" / "models";
-  if (fs::is_directory(shared, ignored)) return shared;
-  return fs::path("deploy") / "models";
+  return shipped_file("models");
 }
 
 Launcher::Launcher(LauncherOptions options) : options_(std::move(options)), liveness_(options_.patience) {

@@ -3,23 +3,22 @@
 #include <algorithm>
 #include <cstdio>
 #include <memory>
-#include <system_error>
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/own_file.hpp"
 #include "common/mesh/obj.hpp"
 #include "common/store/result.hpp"
+#include "services/presentation/export/own_export.hpp"
 #include "services/presentation/export/writers.hpp"
 
 namespace pleat::presentation {
 
 namespace {
 
-constexpr std::pair<const char*, ExportFormat> kFormats[] = {{"obj", ExportFormat::kObj},
-                                                             {"ply", ExportFormat::kPly},
-                                                             {"pc2", ExportFormat::kPc2},
-                                                             {"mdd", ExportFormat::kMdd},
-                                                             {"usda", ExportFormat::kUsda}};
+constexpr std::pair<const char*, ExportFormat> kFormats[] = {
+    {"obj", ExportFormat::kObj}, {"ply", ExportFormat::kPly},   {"pc2", ExportFormat::kPc2},
+    {"mdd", ExportFormat::kMdd}, {"usda", ExportFormat::kUsda}, {"glb", ExportFormat::kGlb}};
 
 /// "name.0007.obj": at least four digits, so that names sort in the order of the frames.
 std::string numbered(const std::string& name, std::size_t frame, std::size_t count, const char* ending) {
@@ -27,6 +26,34 @@ std::string numbered(const std::string& name, std::size_t frame, std::size_t cou
   std::string number = std::to_string(frame);
   number.insert(0, digits - number.size(), '0');
   return name + "." + number + "." + ending;
+}
+
+/// The files of an export, in the order of its frames.
+std::vector<std::filesystem::path> export_files(const ExportInput& input, ExportFormat format,
+                                                const std::filesystem::path& folder) {
+  std::vector<std::filesystem::path> files;
+  switch (format) {
+    case ExportFormat::kObj:
+    case ExportFormat::kPly:
+      for (std::size_t t = 0; t < input.frame_count; ++t) {
+        const char* ending = format == ExportFormat::kObj ? "obj" : "ply";
+        files.push_back(folder / numbered(input.name, t, input.frame_count, ending));
+      }
+      break;
+    case ExportFormat::kUsda:
+      files.push_back(folder / (input.name + ".usda"));
+      break;
+    case ExportFormat::kGlb:
+      files.push_back(folder / (input.name + ".glb"));
+      break;
+    case ExportFormat::kPc2:
+    case ExportFormat::kMdd:
+      // The shape that the cache moves: tools load it first and attach the cache to it.
+      files.push_back(folder / (input.name + ".obj"));
+      files.push_back(folder / (input.name + (format == ExportFormat::kPc2 ? ".pc2" : ".mdd")));
+      break;
+  }
+  return files;
 }
 
 }  // namespace
@@ -64,12 +91,13 @@ ExportInput read_export_input(const std::filesystem::path& result, const std::st
 }
 
 std::vector<std::filesystem::path> export_frames(const ExportInput& input, ExportFormat format,
-                                                 const std::filesystem::path& folder, const ExportProgress& progress) {
+                                                 const std::filesystem::path& folder, const ExportProgress& progress,
+                                                 bool overwrite) {
   if (input.frame_count == 0) throw_invalid_argument(input.name + ": has no complete frame to export");
   if (!(input.frame_time_s > 0)) throw_invalid_argument(input.name + ": the time between frames must be positive");
-  std::error_code failure;
-  std::filesystem::create_directories(folder, failure);
-  if (failure) throw_invalid_argument(folder.string() + ": can't be made: " + failure.message());
+  make_writable_folder(folder);
+  const std::vector<std::filesystem::path> files = export_files(input, format, folder);
+  if (!overwrite) require_own_exports(files);
 
   const FrameSource frame = [&](std::size_t t) {
     Positions positions = input.frame(t);
@@ -82,33 +110,24 @@ std::vector<std::filesystem::path> export_frames(const ExportInput& input, Expor
     return positions;
   };
 
-  std::vector<std::filesystem::path> files;
-  if (format == ExportFormat::kObj || format == ExportFormat::kPly) {
-    const bool obj = format == ExportFormat::kObj;
-    for (std::size_t t = 0; t < input.frame_count; ++t) {
-      files.push_back(folder / numbered(input.name, t, input.frame_count, obj ? "obj" : "ply"));
-      if (obj) {
-        write_obj(files.back(), input.topology, frame(t));
-      } else {
-        write_ply(files.back(), input.topology, frame(t));
-      }
-    }
-    return files;
-  }
-  if (format == ExportFormat::kUsda) {
-    files.push_back(folder / (input.name + ".usda"));
-    write_usda(files.back(), input, frame);
-    return files;
-  }
-  // The shape that the cache moves: tools load it first and attach the cache to it.
-  files.push_back(folder / (input.name + ".obj"));
-  write_obj(files.back(), input.topology, input.topology.rest_positions);
-  const bool pc2 = format == ExportFormat::kPc2;
-  files.push_back(folder / (input.name + (pc2 ? ".pc2" : ".mdd")));
-  if (pc2) {
-    write_pc2(files.back(), input, frame);
-  } else {
-    write_mdd(files.back(), input, frame);
+  switch (format) {
+    case ExportFormat::kObj:
+      for (std::size_t t = 0; t < files.size(); ++t) write_obj(files[t], input.topology, frame(t));
+      break;
+    case ExportFormat::kPly:
+      for (std::size_t t = 0; t < files.size(); ++t) write_ply(files[t], input.topology, frame(t));
+      break;
+    case ExportFormat::kUsda:
+      write_usda(files[0], input, frame);
+      break;
+    case ExportFormat::kGlb:
+      write_glb(files[0], input, frame);
+      break;
+    case ExportFormat::kPc2:
+    case ExportFormat::kMdd:
+      (format == ExportFormat::kPc2 ? write_pc2 : write_mdd)(files[1], input, frame);
+      write_obj(files[0], input.topology, input.topology.rest_positions, cache_comments(files[0], files[1]));
+      break;
   }
   return files;
 }

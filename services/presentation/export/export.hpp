@@ -17,14 +17,15 @@ enum class ExportFormat {
   kPc2,   ///< PC2 point cache of all frames, and one OBJ with the topology
   kMdd,   ///< MDD point cache of all frames, and one OBJ with the topology
   kUsda,  ///< USD text: one mesh with time samples
+  kGlb,   ///< binary glTF: one mesh with a morph target a frame
 };
 
-/// "obj", "ply", "pc2", "mdd" or "usda". Throws kInvalidArgument that lists them.
+/// "obj", "ply", "pc2", "mdd", "usda" or "glb". Throws kInvalidArgument that lists them.
 ExportFormat parse_export_format(const std::string& name);
 
 /// The frames of one mesh.
 struct ExportInput {
-  std::string name = "cloth";  ///< stem of the file names, and the prim in USD
+  std::string name = "cloth";  ///< stem of the file names, and the prim in USD, the node in glTF
   Topology topology;
   std::size_t frame_count = 0;                        ///< at least 1
   double frame_time_s = 0;                            ///< seconds between two frames, > 0
@@ -41,10 +42,11 @@ ExportInput read_export_input(const std::filesystem::path& result, const std::st
 
 /// Writes into `folder`, which is made if need be, and returns the files in the order in which they were written. Every
 /// file is written beside its final name and renamed, so that an interrupted export leaves no half file under a final
-/// name. Vertex order and count are those of the result in all formats. Throws kInvalidArgument (no frames, a frame of
-/// another size or not finite, the folder), kResourceExhausted (disk full; the file is named).
+/// name. Files of these names that are no earlier exports are refused (kAlreadyExists) before anything is written,
+/// unless `overwrite`. Vertex order and count are those of the result in all formats. Throws kInvalidArgument (no
+/// frames, a frame of another size or not finite, the folder), kResourceExhausted (disk full; the file is named).
 std::vector<std::filesystem::path> export_frames(const ExportInput& input, ExportFormat format,
                                                  const std::filesystem::path& folder,
-                                                 const ExportProgress& progress = {});
+                                                 const ExportProgress& progress = {}, bool overwrite = false);
 
 }  // namespace pleat::presentation

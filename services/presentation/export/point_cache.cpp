@@ -5,6 +5,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/whole_file.hpp"
+#include "services/presentation/export/own_export.hpp"
 #include "services/presentation/export/writers.hpp"
 
 namespace pleat::presentation {
@@ -36,8 +37,8 @@ std::int32_t count_for(const std::filesystem::path& path, std::size_t count, con
 void write_ply(const std::filesystem::path& path, const Topology& topology, const Positions& positions) {
   const Positions normals = vertex_normals(positions, topology.faces);
   WholeFile file(path);
-  file.write("ply\nformat binary_little_endian 1.0\ncomment metres, Y up\nelement vertex " +
-             std::to_string(positions.rows()) +
+  file.write("ply\nformat binary_little_endian 1.0\ncomment metres, Y up\n" + std::string(kPlyMark) +
+             "\nelement vertex " + std::to_string(positions.rows()) +
              "\nproperty float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\n"
              "property float nz\nelement face " +
              std::to_string(topology.face_count()) + "\nproperty list uchar uint vertex_indices\nend_header\n");

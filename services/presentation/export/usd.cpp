@@ -3,6 +3,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/whole_file.hpp"
+#include "services/presentation/export/own_export.hpp"
 #include "services/presentation/export/writers.hpp"
 
 namespace pleat::presentation {
@@ -70,8 +71,8 @@ void write_usda(const std::filesystem::path& path, const ExportInput& input, con
   append_number(rate, 1.0 / input.frame_time_s);
   const std::string last = std::to_string(input.frame_count - 1);
   WholeFile file(path);
-  file.write("#usda 1.0\n(\n    defaultPrim = \"" + prim + "\"\n    endTimeCode = " + last +
-             "\n    framesPerSecond = " + rate +
+  file.write("#usda 1.0\n(\n    " + std::string(kUsdMark) + "\n    defaultPrim = \"" + prim +
+             "\"\n    endTimeCode = " + last + "\n    framesPerSecond = " + rate +
              "\n    metersPerUnit = 1\n    startTimeCode = 0\n    timeCodesPerSecond = " + rate +
              "\n    upAxis = \"Y\"\n)\n\ndef Mesh \"" + prim + "\"\n{\n    uniform bool doubleSided = 1\n");
   file.write("    int[] faceVertexCounts = [");

@@ -14,6 +14,7 @@ using FrameSource = std::function<Positions(std::size_t frame)>;
 void write_ply(const std::filesystem::path& path, const Topology& topology, const Positions& positions);
 void write_pc2(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 void write_mdd(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
+void write_glb(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 void write_usda(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 
 }  // namespace pleat::presentation

@@ -7,7 +7,8 @@
 #include <filesystem>
 
 #include "common/base/error.hpp"
-#include "common/mesh/obj.hpp"
+#include "common/mesh/holes.hpp"
+#include "common/mesh/mesh_file.hpp"
 
 namespace pleat::presentation {
 namespace {
@@ -48,11 +49,12 @@ ObstacleInput::ObstacleInput(const std::vector<std::string>& texts) {
     } else {
       const auto at = text.find('@');
       const std::filesystem::path file = text.substr(0, at);
-      const Topology mesh = read_obj(file, ObjUse::kObstacle);
-      if (mesh.face_count() == 0) throw_invalid_argument(file.string() + ": an obstacle needs faces");
+      const bool moved = at != std::string::npos;
+      const Topology open = read_mesh(file, MeshUse::kObstacle);
+      const Topology mesh = close_holes(open, moved, file.string(), notes_);
       obstacle.shape.faces = mesh.faces;
       obstacle.rest.positions = mesh.rest_positions;
-      if (at != std::string::npos) obstacle.motion = open_frame_sequence(text.substr(at + 1), mesh);
+      if (at != std::string::npos) obstacle.motion = open_frame_sequence(text.substr(at + 1), open);
       name = file.stem().string();
     }
     std::string unique = name;

@@ -15,10 +15,13 @@ class ObstacleInput {
   /// Each text is one of
   ///   sphere:X,Y,Z,RADIUS   metres, at rest
   ///   capsule:X,Y,Z,X,Y,Z,RADIUS   metres, from end to end, at rest
-  ///   MESH.obj              a closed mesh at rest
+  ///   MESH.obj              a mesh at rest; what is open gets lids (close_holes)
   ///   MESH.obj@FRAMES       the same, moved: FRAMES as open_frame_sequence, the last frame stays
   /// Names are the files' or sphere, sphere2, ..., capsule, ... Throws kInvalidArgument, kNotFound; the text is named.
   explicit ObstacleInput(const std::vector<std::string>& texts);
+
+  /// What was changed, a line each.
+  const std::vector<std::string>& notes() const { return notes_; }
 
   std::vector<ObstacleShape> shapes() const;
   std::vector<ObstacleFrame> at(std::size_t frame) const;
@@ -30,6 +33,7 @@ class ObstacleInput {
     std::shared_ptr<FrameSequence> motion;
   };
   std::vector<Obstacle> obstacles_;
+  std::vector<std::string> notes_;
 };
 
 }  // namespace pleat::presentation

@@ -13,8 +13,9 @@
 #include "common/base/json.hpp"
 #include "common/base/text_file.hpp"
 #include "common/frame/messages.hpp"
-#include "common/mesh/mesh.hpp"
-#include "common/mesh/obj.hpp"
+#include "common/mesh/garment.hpp"
+#include "common/mesh/holes.hpp"
+#include "common/mesh/mesh_file.hpp"
 #include "services/presentation/input/animation_input.hpp"
 
 namespace pleat::presentation {
@@ -22,6 +23,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr double kDefaultFrameTime = 0.04;
 constexpr std::size_t kMaxWord = 64;  // names become parts of file names
 
 std::string read_text(const fs::path& path, const std::string& wanted_by) {
@@ -155,18 +157,31 @@ Eigen::Index point_count(const v1::Obstacle& obstacle) {
   return obstacle.has_capsules() ? 2 * obstacle.capsules().capsules_size() : 1;
 }
 
+/// How many samples of its animation the scene's frames see; one more, for the way to it.
+std::size_t samples_needed(const v1::Obstacle& obstacle, const v1::Scene& scene) {
+  const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
+  const v1::Animation& animation = obstacle.animation();
+  const double sample_time = animation.has_sample_time_s() ? animation.sample_time_s() : frame_time;
+  if (!(sample_time > 0)) return 1;
+  const double last = static_cast<double>(scene.frames()) * frame_time / sample_time;
+  return static_cast<std::size_t>(std::min(std::ceil(last), 1e9)) + 2;
+}
+
 /// Puts what the obstacle's files hold in their places.
-void inline_obstacle(v1::Obstacle& obstacle, const fs::path& folder, const std::string& where) {
+void inline_obstacle(v1::Obstacle& obstacle, const v1::Scene& scene, const fs::path& folder, const std::string& where,
+                     std::vector<std::string>& notes) {
   if (obstacle.shape_case() == v1::Obstacle::kMeshFile) {
     const fs::path file = folder / obstacle.mesh_file();
     std::error_code ignored;
     if (!fs::is_regular_file(file, ignored)) throw_not_found(where + ".mesh_file " + file.string() + ": no such file");
-    *obstacle.mutable_mesh() = to_message(read_obj(file, ObjUse::kObstacle));
+    *obstacle.mutable_mesh() = to_message(
+        close_holes(read_mesh(file, MeshUse::kObstacle), !obstacle.animation().file().empty(), file.string(), notes));
   }
   if (obstacle.animation().file().empty()) return;
   const std::string name = std::exchange(*obstacle.mutable_animation()->mutable_file(), "");
   try {
-    for (const Positions& sample : read_animation(folder / name, point_count(obstacle)))
+    for (const Positions& sample :
+         read_animation(folder / name, point_count(obstacle), samples_needed(obstacle, scene)))
       obstacle.mutable_animation()->mutable_positions()->Add(sample.data(), sample.data() + sample.size());
   } catch (const Error& error) {
     throw Error(error.code(), where + ".animation.file: " + error.what());
@@ -175,7 +190,8 @@ void inline_obstacle(v1::Obstacle& obstacle, const fs::path& folder, const std::
 
 }  // namespace
 
-v1::Scene parse_scene(const std::string& text, const std::string& name, const fs::path& folder) {
+v1::Scene parse_scene(const std::string& text, const std::string& name, const fs::path& folder,
+                      const SceneReading& reading) {
   const Checker check(name);
   const nlohmann::json json = parse_json(text, name);
   if (!json.is_object()) check.fail("a scene is a JSON object");
@@ -183,6 +199,9 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
   const auto status = google::protobuf::util::JsonStringToMessage(plain_json(text, name), &scene);
   if (!status.ok()) check.fail(json_error(status.ToString()));
   check_explicit_zeros(json, check);
+  if (reading.frames > 0) scene.set_frames(reading.frames);
+  std::vector<std::string> unheard;
+  std::vector<std::string>& notes = reading.notes != nullptr ? *reading.notes : unheard;
   if (scene.frames() == 0) check.fail("frames is missing");
 
   switch (scene.garment_case()) {
@@ -191,8 +210,8 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
       std::error_code ignored;
       if (!fs::is_regular_file(file, ignored))
         throw_not_found(name + ": garment_file " + file.string() + ": no such file");
-      const Topology garment = read_obj(file);
-      validate_material_coordinates(garment, file.string());
+      const Topology garment = read_garment(file, notes, reading.scale);
+      require_rest_lengths(garment, file.string());
       *scene.mutable_garment_mesh() = to_message(garment);
       scene.mutable_garment_mesh()->set_hash(topology_hash(garment));
       break;
@@ -216,14 +235,14 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
     check.fail("material_file is missing");
   }
   for (int o = 0; o < scene.obstacles_size(); ++o) {
-    inline_obstacle(*scene.mutable_obstacles(o), folder, name + ": obstacles[" + std::to_string(o) + "]");
+    inline_obstacle(*scene.mutable_obstacles(o), scene, folder, name + ": obstacles[" + std::to_string(o) + "]", notes);
   }
   check_scene(scene, scene.garment_mesh().rest_positions_size() / 3, check);
   return scene;
 }
 
-v1::Scene read_scene_file(const fs::path& path) {
-  return parse_scene(read_text(path, ""), path.string(), path.parent_path());
+v1::Scene read_scene_file(const fs::path& path, const SceneReading& reading) {
+  return parse_scene(read_text(path, ""), path.string(), path.parent_path(), reading);
 }
 
 }  // namespace pleat::presentation

@@ -10,6 +10,8 @@ import { clothMaterial, mapMaterial } from "./materials";
 export type ViewName = "coarse" | "enhanced" | "reference" | "map";
 
 const kFieldOfView = 30;
+/** Pixels at the top of a view of this height that its caption covers. */
+const captionOf = (height: number): number => Math.min(54, height / 4);
 
 /** A cloth mesh whose arrays are rewritten per frame. */
 class Cloth {
@@ -294,6 +296,7 @@ export class Stage {
     const panel = this.views.find((view) => view.panel.clientHeight > 0)?.panel;
     const aspect = panel ? Math.max(1, panel.clientWidth / panel.clientHeight) : 1;
     const half = Math.tan((kFieldOfView * Math.PI) / 360);
+    const free = panel ? 1 - captionOf(panel.clientHeight) / panel.clientHeight : 1;
     const target = this.center.clone();
     const offset = new THREE.Vector3();
     let distance = 0;
@@ -303,7 +306,8 @@ export class Stage {
       for (const place of this.places) {
         offset.subVectors(place, target);
         const across = Math.abs(offset.dot(right)) / aspect;
-        distance = Math.max(distance, offset.dot(toEye) + Math.max(across, Math.abs(offset.dot(up))) / half);
+        const high = Math.abs(offset.dot(up)) / free;
+        distance = Math.max(distance, offset.dot(toEye) + Math.max(across, high) / half);
       }
       if (round === 1) break;
       let [left, rightmost, bottom, top] = [Infinity, -Infinity, Infinity, -Infinity];
@@ -317,8 +321,7 @@ export class Stage {
       }
       target.addScaledVector(right, 0.5 * (left + rightmost) * distance).addScaledVector(up, 0.5 * (bottom + top) * distance);
     }
-    // Room for the captions.
-    distance *= 1.12 / zoom;
+    distance *= 1.06 / zoom;
     this.controls.target.copy(target);
     this.camera.position.copy(toEye).multiplyScalar(distance).add(target);
     this.camera.near = distance / 100;
@@ -394,9 +397,11 @@ export class Stage {
       camera.aspect = aspect;
       const half = Math.tan((kFieldOfView * Math.PI) / 360);
       camera.fov = (2 * Math.atan(half / Math.min(1, aspect)) * 180) / Math.PI;
-      camera.updateProjectionMatrix();
+      // The middle of the picture is that of what the caption leaves free.
+      camera.setViewOffset(rectangle.width, rectangle.height, 0, -captionOf(rectangle.height) / 2, rectangle.width, rectangle.height);
       renderer.render(view.scene, camera);
     }
+    camera.clearViewOffset();
   }
 
   /** The studio turns with the camera, so that every side is seen in light that grazes the wrinkles. */

@@ -125,5 +125,14 @@ TEST_F(ProcessTest, ALogReplacesOneOfItsProgramOnly) {
   EXPECT_EQ(last_lines(precious, 1), "mine");
 }
 
+TEST_F(ProcessTest, ShippedFilesAreFoundFromAnyFolder) {
+  const fs::path here = fs::current_path(), skirt = fs::absolute(shipped_file("garments/skirt.obj"));
+  EXPECT_TRUE(fs::is_regular_file(skirt)) << skirt;
+  fs::current_path(folder_);
+  EXPECT_TRUE(fs::equivalent(shipped_file("garments/skirt.obj"), skirt));
+  EXPECT_EQ(shipped_file("garments/none.obj"), "deploy/garments/none.obj");
+  fs::current_path(here);
+}
+
 }  // namespace
 }  // namespace pleat

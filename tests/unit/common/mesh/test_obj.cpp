@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 
 const fs::path kCases = "tests/cases";
 
-Topology read(const std::string& text, const ObjLimits& limits = {}, ObjUse use = ObjUse::kGarment) {
+Topology read(const std::string& text, const ObjLimits& limits = {}, MeshUse use = MeshUse::kGarment) {
   std::istringstream stream(text);
   return read_obj(stream, "test.obj", use, limits);
 }
@@ -82,9 +82,9 @@ double area_from_above(const Topology& t) {
 
 TEST(Obj, AConcavePolygonCoversItsOwnArea) {
   const fs::path folder = kCases / "05-obj-concave-polygon";
-  const Topology right = read_obj(folder / "table-triangles.obj", ObjUse::kObstacle);
+  const Topology right = read_obj(folder / "table-triangles.obj", MeshUse::kObstacle);
   for (const char* file : {"table-polygon.obj", "table-closing-vertex.obj"}) {
-    const Topology table = read_obj(folder / file, ObjUse::kObstacle);
+    const Topology table = read_obj(folder / file, MeshUse::kObstacle);
     EXPECT_EQ(table.rest_positions, right.rest_positions) << file;
     EXPECT_EQ(table.face_count(), right.face_count()) << file;
     EXPECT_NEAR(area_from_above(table), area_from_above(right), 1e-6) << file;
@@ -116,8 +116,8 @@ TEST(Obj, ReadsWhatEditorsSave) {
   for (const char* file : {"bom-first-line-is-vertex.obj", "bom-first-line-is-comment.obj", "mac-cr-only.obj"}) {
     EXPECT_EQ(topology_hash(read_obj(folder / file)), topology_hash(garment)) << file;
   }
-  EXPECT_EQ(topology_hash(read_obj(folder / "body-bom-stray-vertex.obj", ObjUse::kObstacle)),
-            topology_hash(read_obj(folder / "body-stray-vertex.obj", ObjUse::kObstacle)));
+  EXPECT_EQ(topology_hash(read_obj(folder / "body-bom-stray-vertex.obj", MeshUse::kObstacle)),
+            topology_hash(read_obj(folder / "body-stray-vertex.obj", MeshUse::kObstacle)));
   try {
     read_obj(folder / "utf16.obj");
     FAIL() << "accepted";
@@ -131,7 +131,7 @@ TEST(Obj, ReadsWhatEditorsSave) {
 
 TEST(Obj, ObstaclesNeedNoMaterialCoordinates) {
   const fs::path body = kCases / "06-obj-some-objects-without-uv" / "body.obj";
-  const Topology t = read_obj(body, ObjUse::kObstacle);
+  const Topology t = read_obj(body, MeshUse::kObstacle);
   EXPECT_EQ(t.vertex_count(), 16);
   EXPECT_EQ(t.face_count(), 24);
   EXPECT_EQ(t.uv.rows() + t.uv_faces.rows(), 0);

@@ -45,12 +45,14 @@ TEST_F(ResultRecorderTest, AFailedFrameIsCountedAndTheOthersFollow) {
       enhanced.error.emplace(ErrorCode::kInternal, "frame 1: no");
       enhanced.stage_times.clear();
     }
+    enhanced.report.input_intersects = k == 2;
     recorder.add(enhanced, coarse_.rest_positions, {});
   }
   recorder.finish();
   EXPECT_EQ(recorder.frame_errors(), 1u);
   EXPECT_EQ(reader().frames_complete(), 3u);
   EXPECT_EQ(reader().counts("frame_errors", 0, 3), (std::vector<std::uint32_t>{0, 1, 0}));
+  EXPECT_EQ(reader().counts("input_intersects", 0, 3), (std::vector<std::uint32_t>{0, 0, 1}));
   EXPECT_EQ(reader().info().stages, (std::vector<std::string>{"refinement", "superres"}))
       << "by name, as files list them";
   EXPECT_EQ(reader().stage_ms("superres", 0, 3), (std::vector<float>{2, 0, 2}));

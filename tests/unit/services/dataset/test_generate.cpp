@@ -1,3 +1,5 @@
+#include <gmock/gmock.h>
+
 #include <algorithm>
 #include <fstream>
 #include <nlohmann/json.hpp>
@@ -88,9 +90,57 @@ TEST_F(SmallSet, PlansDifferAndRepeat) {
   options.scenes.seed = 2;
   EXPECT_NE(plan_sequences(options.scenes)[3].scene_json, plans[3].scene_json);
   options.scenes.train = 10;
-  EXPECT_EQ(code_of([&] { plan_sequences(options.scenes); }, "upper edge"), ErrorCode::kInvalidArgument);
+  held.clear();
+  for (const SequencePlan& plan : plan_sequences(options.scenes)) held.insert(plan.scene.handles[0].vertices[0]);
+  EXPECT_EQ(held.size(), 12u) << "beyond the upper edge those next to it";
+  options.scenes.train = 1000;
+  EXPECT_EQ(code_of([&] { plan_sequences(options.scenes); }, "has only"), ErrorCode::kInvalidArgument);
   options.scenes.set = "skirt";
   EXPECT_EQ(code_of([&] { plan_sequences(options.scenes); }, "skirt"), ErrorCode::kInvalidArgument);
+}
+
+TEST_F(SmallSet, AGarmentThatIsUprightHangsByItsTop) {
+  options.scenes.garment = "deploy/garments/skirt.obj";
+  options.scenes.train = 10;
+  options.scenes.test = 3;
+  for (const char* set : {"draping", "hitting"}) {
+    options.scenes.set = set;
+    const auto plans = plan_sequences(options.scenes);
+    EXPECT_EQ(plans.size(), 13u);
+    for (const SequencePlan& plan : plans) {
+      const auto& rest = plan.scene.garment.rest_positions;
+      const float top = rest.col(1).maxCoeff(), bottom = rest.col(1).minCoeff();
+      for (const std::uint32_t v : plan.scene.handles[0].vertices) {
+        EXPECT_GT(rest(v, 1), top - 0.2f * (top - bottom)) << plan.name;
+      }
+    }
+  }
+}
+
+TEST_F(SmallSet, AClosedGarmentHasATopToo) {
+  std::ofstream(root / "tent.obj") << "v 0 0 0\nv 1 0 0\nv 0.5 0 0.8\nv 0.5 0.8 0.3\nvt 0 0\nvt 1 0\nvt 0.5 0.9\n"
+                                      "vt 1.5 0.9\nvt 2 0\nvt 1 1.8\n"
+                                      "f 1/1 4/3 2/2\nf 2/2 4/3 3/4\nf 3/2 4/4 1/5\nf 1/4 2/3 3/6\n";
+  options.scenes.garment = root / "tent.obj";
+  options.scenes.set = "hitting";
+  for (const SequencePlan& plan : plan_sequences(options.scenes)) {
+    EXPECT_THAT(plan.scene.handles[0].vertices, testing::ElementsAre(3u));
+  }
+}
+
+TEST_F(SmallSet, NotesOfTheGarmentComeOut) {
+  options.scenes.garment = "tests/cases/11-garment-centimetres/skirt-cm.obj";
+  std::vector<std::string> notes;
+  plan_sequences(options.scenes, &notes);
+  EXPECT_EQ(notes.size(), 1u);
+  options.scenes.garment_scale = 0.01;
+  notes.clear();
+  const auto plans = plan_sequences(options.scenes, &notes);
+  EXPECT_TRUE(notes.empty());
+  EXPECT_LT(plans[0].scene.garment.rest_positions.cwiseAbs().maxCoeff(), 1.0f);
+  options.scenes.garment = "tests/cases/11-garment-centimetres/skirt-mm-uv-m.obj";
+  options.scenes.garment_scale = 1;
+  EXPECT_EQ(code_of([&] { plan_sequences(options.scenes); }, "times as long in space"), ErrorCode::kInvalidArgument);
 }
 
 TEST_F(SmallSet, ScenesAreSceneFiles) {

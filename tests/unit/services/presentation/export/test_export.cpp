@@ -6,6 +6,7 @@
 #include <cstring>
 #include <fstream>
 #include <limits>
+#include <nlohmann/json.hpp>
 #include <sstream>
 
 #include "common/base/error.hpp"
@@ -200,6 +201,101 @@ TEST_F(Export, UsdaHasASamplePerFrame) {
   EXPECT_EQ(extent[3], moved(input_.topology, 1).col(0).maxCoeff());
 }
 
+/// A GLB taken apart.
+struct Glb {
+  explicit Glb(const fs::path& path) {
+    Bytes file(read_file(path), false);
+    EXPECT_EQ(file.take(4), "glTF");
+    EXPECT_EQ(file.next<std::uint32_t>(), 2u);
+    EXPECT_EQ(file.next<std::uint32_t>(), fs::file_size(path));
+    const auto length = file.next<std::uint32_t>();
+    EXPECT_EQ(length % 4, 0u);
+    EXPECT_EQ(file.take(4), "JSON");
+    json = nlohmann::json::parse(file.take(length));
+    const auto bytes = file.next<std::uint32_t>();
+    EXPECT_EQ(bytes % 4, 0u);
+    EXPECT_EQ(file.take(4), std::string("BIN\0", 4));
+    binary = file.take(bytes);
+    EXPECT_TRUE(file.at_end());
+  }
+  template <class T>
+  std::vector<T> values(const nlohmann::json& accessor) const {
+    const nlohmann::json& a = json.at("accessors").at(accessor.get<std::size_t>());
+    const nlohmann::json& view = json.at("bufferViews").at(a.at("bufferView").get<std::size_t>());
+    const std::size_t components = a.at("type") == "SCALAR" ? 1 : a.at("type") == "VEC2" ? 2 : 3;
+    std::vector<T> out(components * a.at("count").get<std::size_t>());
+    EXPECT_EQ(view.at("byteLength"), out.size() * sizeof(T));
+    EXPECT_LE(view.at("byteOffset").get<std::size_t>() + out.size() * sizeof(T), binary.size());
+    std::memcpy(out.data(), binary.data() + view.at("byteOffset").get<std::size_t>(), out.size() * sizeof(T));
+    if constexpr (std::is_same_v<T, float>) {
+      for (std::size_t c = 0; a.contains("min") && c < components; ++c) {
+        float least = out[c], most = out[c];
+        for (std::size_t i = c; i < out.size(); i += components) {
+          least = std::min(least, out[i]);
+          most = std::max(most, out[i]);
+        }
+        EXPECT_EQ(a.at("min").at(c).get<float>(), least);
+        EXPECT_EQ(a.at("max").at(c).get<float>(), most);
+      }
+    }
+    return out;
+  }
+  nlohmann::json json;
+  std::string binary;
+};
+
+TEST_F(Export, GltfShowsEveryFrameAndSplitsSeams) {
+  // The second triangle's corner at vertex 2 lies elsewhere in material coordinates: a seam in one vertex.
+  input_.topology.uv.conservativeResize(5, 2);
+  input_.topology.uv.row(4) << 3, 0.25f;
+  input_.topology.uv_faces(1, 1) = 4;
+  const auto files = export_frames(input_, ExportFormat::kGlb, folder_);
+  ASSERT_THAT(files, testing::ElementsAre(folder_ / "sheet.glb"));
+  const Glb glb(files[0]);
+  const nlohmann::json& primitive = glb.json.at("meshes").at(0).at("primitives").at(0);
+  const auto indices = glb.values<std::uint32_t>(primitive.at("indices"));
+  const auto first = glb.values<float>(primitive.at("attributes").at("POSITION"));
+  const auto uv = glb.values<float>(primitive.at("attributes").at("TEXCOORD_0"));
+  const auto& animation = glb.json.at("animations").at(0);
+  EXPECT_EQ(animation.at("channels").at(0).at("target").at("path"), "weights");
+  const auto times = glb.values<float>(animation.at("samplers").at(0).at("input"));
+  const auto weights = glb.values<float>(animation.at("samplers").at(0).at("output"));
+  ASSERT_EQ(indices.size(), 6u);
+  ASSERT_EQ(first.size(), 15u);
+  ASSERT_EQ(times.size(), input_.frame_count);
+  ASSERT_EQ(primitive.at("targets").size(), input_.frame_count - 1);
+  for (std::size_t t = 0; t < input_.frame_count; ++t) {
+    EXPECT_NEAR(times[t], static_cast<double>(t) * input_.frame_time_s, 1e-6);
+    std::vector<float> shown = first;
+    for (std::size_t target = 0; target + 1 < input_.frame_count; ++target) {
+      const auto moved = glb.values<float>(primitive.at("targets").at(target).at("POSITION"));
+      const float weight = weights[t * (input_.frame_count - 1) + target];
+      for (std::size_t i = 0; i < shown.size(); ++i) shown[i] += weight * moved[i];
+    }
+    const Positions expected = input_.frame(t);
+    for (std::size_t corner = 0; corner < 6; ++corner) {
+      const auto vertex = input_.topology.faces.data()[corner];
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        EXPECT_NEAR(shown[3 * indices[corner] + axis], expected(vertex, static_cast<Eigen::Index>(axis)), 1e-6);
+      }
+    }
+  }
+  for (std::size_t corner = 0; corner < 6; ++corner) {
+    const auto place = input_.topology.uv_faces.data()[corner];
+    EXPECT_EQ(uv[2 * indices[corner]], input_.topology.uv(place, 0));
+    EXPECT_EQ(uv[2 * indices[corner] + 1], 1 - input_.topology.uv(place, 1));
+  }
+}
+
+TEST_F(Export, GltfOfOneFrameStandsStill) {
+  input_.frame_count = 1;
+  input_.topology.uv.resize(0, 2);
+  input_.topology.uv_faces.resize(0, 3);
+  const Glb glb(export_frames(input_, ExportFormat::kGlb, folder_).at(0));
+  EXPECT_FALSE(glb.json.contains("animations"));
+  EXPECT_FALSE(glb.json.at("meshes").at(0).at("primitives").at(0).at("attributes").contains("TEXCOORD_0"));
+}
+
 TEST_F(Export, BadInputIsNamedAndLeavesNoFile) {
   EXPECT_THROW(
       {
@@ -219,9 +315,40 @@ TEST_F(Export, BadInputIsNamedAndLeavesNoFile) {
   };
   EXPECT_THROW(export_frames(input_, ExportFormat::kPc2, folder_), Error);
   EXPECT_FALSE(fs::exists(folder_ / "sheet.pc2"));
-  EXPECT_FALSE(fs::exists(folder_ / "sheet.pc2.tmp"));
+  EXPECT_TRUE(fs::is_empty(folder_));
   input_.frame_count = 0;
   EXPECT_THROW(export_frames(input_, ExportFormat::kUsda, folder_), Error);
+}
+
+TEST_F(Export, ReplacesEarlierExportsAndNothingElse) {
+  for (const auto format : {ExportFormat::kObj, ExportFormat::kPly, ExportFormat::kPc2, ExportFormat::kMdd,
+                            ExportFormat::kUsda, ExportFormat::kGlb}) {
+    const auto files = export_frames(input_, format, folder_);
+    EXPECT_NO_THROW(export_frames(input_, format, folder_)) << static_cast<int>(format);
+    for (const fs::path& file : files) {
+      const std::string ours = read_file(file);
+      fs::remove(file);
+      std::ofstream(file) << "mine";
+      try {
+        export_frames(input_, format, folder_);
+        ADD_FAILURE() << file;
+      } catch (const Error& error) {
+        EXPECT_EQ(error.code(), ErrorCode::kAlreadyExists);
+        EXPECT_THAT(error.what(), testing::StartsWith(file.string() + ": "));
+      }
+      EXPECT_EQ(read_file(file), "mine");
+      fs::remove(file);
+      std::ofstream(file, std::ios::binary) << ours;
+    }
+    // A cache that was changed since is somebody's work.
+    if (files.back().extension() == ".pc2") {
+      std::ofstream(files.back(), std::ios::app | std::ios::binary) << "x";
+      EXPECT_THROW(export_frames(input_, format, folder_), Error);
+      EXPECT_NO_THROW(export_frames(input_, format, folder_, {}, true));
+    }
+  }
+  // Both caches' OBJ is one file.
+  EXPECT_NO_THROW(export_frames(input_, ExportFormat::kPc2, folder_));
 }
 
 TEST_F(Export, ReadsAResultFile) {

@@ -72,13 +72,96 @@ class SequenceInput : public testing::Test {
   Topology rest_ = two_triangles();
 };
 
-TEST_F(SequenceInput, ReadsAFolderInNaturalOrder) {
-  for (const int k : {2, 10, 1}) write_obj_frame("cloth" + std::to_string(k) + ".obj", k);
+TEST_F(SequenceInput, ReadsAFolderInTheOrderOfItsNumbers) {
+  for (const int k : {9, 11, 8, 10}) write_obj_frame("v2_cloth" + std::to_string(k) + ".obj", k);
   const auto sequence = open_frame_sequence(folder_.string(), rest_);
-  ASSERT_EQ(sequence->frame_count(), 3u);
-  EXPECT_EQ(sequence->positions(0), frame(1));
-  EXPECT_EQ(sequence->positions(1), frame(2));
-  EXPECT_EQ(sequence->positions(2), frame(10));
+  ASSERT_EQ(sequence->frame_count(), 4u);
+  for (int k = 0; k < 4; ++k) EXPECT_EQ(sequence->positions(static_cast<std::size_t>(k)), frame(8 + k));
+}
+
+TEST_F(SequenceInput, ThreeSpellingsFollowOneRule) {
+  const fs::path cases = "tests/cases/15-sequence-gap-and-negative-frames";
+  rest_ = read_obj(cases / "garment.obj");
+  for (const char* spelling : {"", "*.obj", "cloth_%04d.obj"}) {
+    expect_error((cases / "gap" / spelling).string(), ErrorCode::kNotFound, "frame 4 is missing");
+    const auto sequence = open_frame_sequence((cases / "preroll" / spelling).string(), rest_);
+    ASSERT_EQ(sequence->frame_count(), 5u) << spelling;
+    const float first = sequence->positions(0)(0, 0);
+    for (int k = 0; k < 5; ++k) {
+      EXPECT_NEAR(sequence->positions(static_cast<std::size_t>(k))(0, 0) - first, 0.1f * static_cast<float>(k), 1e-5f);
+    }
+  }
+}
+
+TEST_F(SequenceInput, RefusesNamesThatGiveNoOrder) {
+  write_obj_frame("cloth1.obj", 1);
+  write_obj_frame("cloth02.obj", 2);
+  EXPECT_EQ(open_frame_sequence(folder_.string(), rest_)->frame_count(), 2u);
+  write_obj_frame("cloth2.obj", 2);
+  expect_error(folder_.string(), ErrorCode::kInvalidArgument, "are both frame 2");
+  fs::remove(folder_ / "cloth2.obj");
+  write_obj_frame("rest.obj", 0);
+  expect_error(folder_.string(), ErrorCode::kInvalidArgument, "differ in more than a number");
+  EXPECT_EQ(open_frame_sequence((folder_ / "cloth%d.obj").string(), rest_)->frame_count(), 2u);
+}
+
+TEST_F(SequenceInput, ReadsTheCachesOfOtherTools) {
+  const fs::path cases = "tests/cases/34-mdd-and-big-endian-caches";
+  rest_ = read_obj(cases / "garment.obj");
+  const auto array = open_frame_sequence((cases / "cloth-positions.h5").string(), rest_);
+  for (const char* file : {"frames.mdd", "big-endian.pc2", "cloth-positions.h5", "cloth-positions.h5:/positions"}) {
+    const auto sequence = open_frame_sequence((cases / file).string(), rest_);
+    ASSERT_EQ(sequence->frame_count(), 4u) << file;
+    for (std::size_t k = 0; k < 4; ++k) {
+      EXPECT_LT((sequence->positions(k) - array->positions(k)).cwiseAbs().maxCoeff(), 1e-5f) << file;
+    }
+    EXPECT_EQ(sequence->warning(), "") << file;
+  }
+  EXPECT_NEAR(open_frame_sequence((cases / "frames.mdd").string(), rest_)->frame_time_s(), 1.0 / 24, 1e-6);
+  const auto more = open_frame_sequence((cases / "header-says-fewer.pc2").string(), rest_);
+  EXPECT_EQ(more->frame_count(), 3u);
+  EXPECT_THAT(more->warning(), testing::HasSubstr("3 frames, but 1452 bytes follow them"));
+  expect_error((cases / "cut-short.pc2").string(), ErrorCode::kDataLoss, "5740 bytes instead of 5840");
+  expect_error((cases / "positions-points-first.h5").string(), ErrorCode::kInvalidArgument, "4 vertices");
+  expect_error((cases / "cloth-positions.h5:/other").string(), ErrorCode::kInvalidArgument, "no such array");
+}
+
+TEST_F(SequenceInput, ReadsNumPyArrays) {
+  const auto write = [&](const std::string& dictionary, const std::string& data) {
+    std::string header = dictionary;
+    header.resize(118, ' ');
+    std::ofstream file(folder_ / "a.npy", std::ios::binary);
+    file.write("\x93NUMPY\1\0\x76\0", 10);
+    file << header << data;
+    file.close();
+    return (folder_ / "a.npy").string();
+  };
+  std::string floats, doubles;
+  for (const int k : {0, 1}) {
+    const Positions p = frame(k);
+    for (Eigen::Index i = 0; i < p.size(); ++i) {
+      const double wide = static_cast<double>(p.data()[i]);
+      floats.append(reinterpret_cast<const char*>(p.data() + i), 4);
+      std::string bytes(reinterpret_cast<const char*>(&wide), 8);
+      doubles.append(bytes.rbegin(), bytes.rend());
+    }
+  }
+  for (const auto& [type, data] : {std::pair{"<f4", floats}, std::pair{">f8", doubles}}) {
+    const auto sequence = open_frame_sequence(
+        write(std::string("{'descr': '") + type + "', 'fortran_order': False, 'shape': (2, 4, 3), }", data), rest_);
+    ASSERT_EQ(sequence->frame_count(), 2u);
+    EXPECT_EQ(sequence->positions(1), frame(1)) << type;
+  }
+  const auto expect_refused = [&](const std::string& dictionary, ErrorCode code, const std::string& cause) {
+    expect_error(write(dictionary, floats), code, cause);
+  };
+  expect_refused("{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4, 3), }", ErrorCode::kDataLoss, "truncated");
+  expect_refused("{'descr': '<i4', 'fortran_order': False, 'shape': (2, 4, 3), }", ErrorCode::kInvalidArgument,
+                 "float32");
+  expect_refused("{'descr': '<f4', 'fortran_order': True, 'shape': (2, 4, 3), }", ErrorCode::kInvalidArgument,
+                 "C order");
+  expect_refused("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3, 4), }", ErrorCode::kInvalidArgument,
+                 "(2, 3, 4)");
 }
 
 TEST_F(SequenceInput, ReadsAGlob) {
@@ -217,16 +300,6 @@ TEST_F(SequenceInput, ReadsASequenceOfADataSet) {
   EXPECT_EQ(sequence->positions(0), frame(3));
   EXPECT_DOUBLE_EQ(sequence->frame_time_s(), 0.04);
   expect_error(folder_.string(), ErrorCode::kInvalidArgument, "name one of its sequences");
-}
-
-TEST(NaturalOrder, ComparesNumbersByValue) {
-  EXPECT_TRUE(natural_less("a2", "a10"));
-  EXPECT_FALSE(natural_less("a10", "a2"));
-  EXPECT_TRUE(natural_less("a002b", "a10b"));
-  EXPECT_TRUE(natural_less("a", "a1"));
-  EXPECT_TRUE(natural_less("a99999999999999999999998", "a99999999999999999999999"));
-  EXPECT_FALSE(natural_less("a1", "a1"));
-  EXPECT_NE(natural_less("a1", "a01"), natural_less("a01", "a1"));
 }
 
 }  // namespace

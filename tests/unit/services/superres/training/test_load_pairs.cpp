@@ -317,6 +317,20 @@ TEST_F(LoadPairs, ImagesAreConvertedOnceAndDamagedFilesAgain) {
   for (std::size_t i = 0; i < values.size(); ++i) ASSERT_NEAR(values[i], first[i], 1.6e-5);
 }
 
+TEST_F(LoadPairs, StoppingIsHeardWhileImagesAreConverted) {
+  write(true);
+  std::atomic<bool> stop{false};
+  const auto stop_after_first = [&](const std::string& line) { stop = stop || line.find("converted") != line.npos; };
+  const Error error = error_of([&] { load_pairs(config(), stop_after_first, &stop); });
+  EXPECT_EQ(error.code(), ErrorCode::kCancelled);
+  EXPECT_THAT(error.what(), HasSubstr("nothing was trained yet"));
+  // What was whole by then is used by the next training, and nothing else lies about.
+  std::string said;
+  load_pairs(config(), [&](const std::string& line) { said += line + "\n"; });
+  EXPECT_THAT(said, testing::AllOf(HasSubstr("frames from"), HasSubstr("converted")));
+  for (const auto& file : fs::directory_iterator(folder_ / "images")) EXPECT_EQ(file.path().extension(), ".bin");
+}
+
 TEST_F(LoadPairs, AbsentDataSetIsNamed) {
   EXPECT_EQ(error_of([&] { load_pairs(config(), quiet); }).code(), ErrorCode::kNotFound);
 }

@@ -1,0 +1,14 @@
+"""The package `pleat`. Built by `make python`, which puts the generated messages in pleat/v1 first."""
+
+from setuptools import setup
+
+setup(
+    name="pleat",
+    version="0.1.0",
+    description="Client of Pleat: coarse cloth frames in, detailed collision-free fine frames out",
+    license="Apache-2.0",
+    packages=["pleat", "pleat.v1"],
+    package_data={"pleat": ["py.typed"]},
+    python_requires=">=3.9",
+    install_requires=["grpcio>=1.51", "protobuf>=3.21", "numpy>=1.24", "h5py>=3.7"],
+)
