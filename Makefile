@@ -13,9 +13,11 @@ PACKAGES := $(shell sed -n '/^[^#]/p' cmake/packages.txt)
 SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 
 FUZZ_SECONDS ?= 120
+CRASH_MINUTES ?= 100
+SOAK_MINUTES ?= 60
 FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine
 
-.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz clean compose-demo dataset model viewer proto-descriptor install python
+.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install python
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -65,6 +67,12 @@ dataset: build ## generate the DRAPING training data into out/dataset/draping
 
 model: build ## train the default model from out/dataset/draping into out/train/draping
 	@$(BUILD)/bin/pleat-train deploy/models/draping.train.json
+
+crash: programs ## kill -9 random processes while jobs run, CRASH_MINUTES (tests/reliability/README.md)
+	@/usr/bin/python3 tests/reliability/crash.py $(BUILD)/bin/pleat --minutes $(CRASH_MINUTES)
+
+soak: programs ## live sessions among jobs, flooders and silent clients, SOAK_MINUTES
+	@/usr/bin/python3 tests/reliability/soak.py $(BUILD)/bin/pleat --minutes $(SOAK_MINUTES) --judge
 
 lint: setup ## formatting, static checks and the rules of the rooms
 	@cmake/lint.sh $(BUILD)

@@ -6,11 +6,13 @@
 #include <grpcpp/resource_quota.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
@@ -35,19 +37,23 @@ sigset_t stop_signals() {
   return signals;
 }
 
-/// Removes the socket file that a killed server left behind. Throws kUnavailable if somebody listens on it.
+/// Removes the socket file that a killed server of this user left behind. Throws kUnavailable if somebody listens on
+/// it, or if that can't be told; kInvalidArgument for what is no socket, or another user's.
 void clear_socket(const std::string& path) {
-  std::error_code error;
-  if (!std::filesystem::exists(std::filesystem::symlink_status(path, error))) return;
-  if (!std::filesystem::is_socket(path, error)) throw_invalid_argument(path + ": exists and is no socket");
+  struct stat there {};
+  if (::lstat(path.c_str(), &there) != 0) return;
+  if (!S_ISSOCK(there.st_mode)) throw_invalid_argument(path + ": exists and is no socket");
+  if (there.st_uid != ::geteuid()) throw_invalid_argument(path + ": is a socket of another user");
   sockaddr_un name{};
   name.sun_family = AF_UNIX;
   std::strncpy(name.sun_path, path.c_str(), sizeof(name.sun_path) - 1);
   const int probe = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
   const bool answered = probe >= 0 && connect(probe, reinterpret_cast<const sockaddr*>(&name), sizeof(name)) == 0;
+  // A full queue, or a socket of another kind, is somebody's too.
+  const bool abandoned = probe >= 0 && !answered && errno == ECONNREFUSED;
   if (probe >= 0) close(probe);
-  if (answered) throw Error(ErrorCode::kUnavailable, "address unix:" + path + " is in use by another process");
-  std::filesystem::remove(path, error);
+  if (!abandoned) throw Error(ErrorCode::kUnavailable, "address unix:" + path + " is in use by another process");
+  ::unlink(path.c_str());
 }
 
 std::string socket_path(const std::string& address) {
@@ -175,10 +181,7 @@ void Server::stop() {
       while (state_->sessions() > 0 && Clock::now() < end) std::this_thread::sleep_for(std::chrono::milliseconds(5));
     }
     state_->server->Shutdown(state_->sessions ? std::min<Clock::time_point>(end, Clock::now() + kLastAnswers) : end);
-    state_->server->Wait();
-    const std::string path = socket_path(state_->address);
-    std::error_code error;
-    if (!path.empty()) std::filesystem::remove(path, error);
+    state_->server->Wait();  // removes the socket file too
   });
 }
 

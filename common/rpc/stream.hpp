@@ -23,6 +23,7 @@
 #include <type_traits>
 #include <vector>
 
+#include "common/rpc/end_mark.hpp"
 #include "common/rpc/status.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "common/telemetry/stage_timer.hpp"
@@ -65,7 +66,8 @@ struct FrameServiceOptions {
 ///   process(const RequestFrame&, ResponseFrame*), or process(const Request&, ResponseFrame*) for the whole message
 /// An exception of `open` ends the stream with its status; one of `process` becomes a FrameError and the stream goes
 /// on. With concurrency > 1, process is called from several threads at once; answers keep the order of the requests. A
-/// broken sequence of messages (no open, a second one) ends the stream with INVALID_ARGUMENT after the frames before.
+/// broken sequence of messages (no open, a second one, bytes that are no message) ends the stream with INVALID_ARGUMENT
+/// after the frames before.
 /// A client that is silent, or does not read, ends with DEADLINE_EXCEEDED after the time-outs of the options.
 template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
@@ -81,17 +83,19 @@ class PacedWriter {
   /// Cancels the call if the client still sends; joins the reader. Call close() first for a normal end.
   ~PacedWriter();
 
-  /// Waits until `index` is inside the window, then writes. False: the client has gone, or closed its side.
+  /// Waits until `index` is inside the window, then writes. False: the client has gone, or closed its side. Throws
+  /// kInvalidArgument if it sent what is no acknowledgement, kDeadlineExceeded if it sends none.
   bool write(std::uint64_t index, const Response& response);
 
-  /// True once the client has gone or closed its side: stop working.
+  /// True once the client has gone, closed its side, or sent what is no acknowledgement: stop working.
   bool stopped() const;
 
-  /// Waits until the client closes its side or has gone. After the last frame.
+  /// Waits until the client closes its side or has gone. After the last frame. Throws as write().
   void close();
 
  private:
   void read();
+  void throw_if_broken() const;
 
   grpc::ServerContext* context_;
   grpc::ServerReaderWriter<Response, Request>* stream_;
@@ -99,7 +103,7 @@ class PacedWriter {
   std::uint64_t acknowledged_;  ///< frames below this index have been taken
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  bool stopped_ = false;
+  bool stopped_ = false, broken_ = false;
   std::thread reader_;
 };
 

@@ -164,7 +164,9 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
     detail::ClientWatch watch(context, std::min(options.idle_timeout, options.reader_timeout) / 4);
     watch.expect_within(options.idle_timeout);
     Request first;
+    set_end_mark(&first);
     if (!stream->Read(&first)) {
+      if (!has_end_mark(first)) return undecodable();
       return watch.timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "no `open` came") : grpc::Status::OK;
     }
     watch.expect_nothing();
@@ -190,9 +192,13 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
         shared.free.pop_front();
         slot->done = false;
         lock.unlock();
+        set_end_mark(&slot->request);
         const bool read = stream->Read(&slot->request);
         lock.lock();
-        if (!read) break;
+        if (!read) {
+          if (!has_end_mark(slot->request)) shared.status = undecodable();
+          break;
+        }
         if (!slot->request.has_frame()) {
           shared.status = grpc::Status(grpc::StatusCode::INVALID_ARGUMENT, "after `open` only frames may follow");
           break;
@@ -269,13 +275,16 @@ PacedWriter<Request, Response>::~PacedWriter() {
 template <typename Request, typename Response>
 void PacedWriter<Request, Response>::read() {
   Request request;
+  set_end_mark(&request);
   while (stream_->Read(&request)) {
     if (!request.has_ack_index()) break;
     const std::lock_guard lock(mutex_);
     acknowledged_ = std::max(acknowledged_, request.ack_index() + 1);
     changed_.notify_all();
+    set_end_mark(&request);
   }
   const std::lock_guard lock(mutex_);
+  broken_ = !has_end_mark(request);
   stopped_ = true;
   changed_.notify_all();
 }
@@ -289,6 +298,7 @@ bool PacedWriter<Request, Response>::write(std::uint64_t index, const Response& 
       throw Error(ErrorCode::kDeadlineExceeded,
                   "the client has acknowledged nothing for " + std::to_string(kIdleTimeout.count()) + " s");
     }
+    throw_if_broken();
     if (stopped_) return false;
   }
   return stream_->Write(response);
@@ -304,6 +314,13 @@ template <typename Request, typename Response>
 void PacedWriter<Request, Response>::close() {
   std::unique_lock lock(mutex_);
   changed_.wait_for(lock, kIdleTimeout, [&] { return stopped_; });
+  throw_if_broken();
+}
+
+/// With the lock.
+template <typename Request, typename Response>
+void PacedWriter<Request, Response>::throw_if_broken() const {
+  if (broken_) throw_invalid_argument("after `open` only acknowledgements may follow");
 }
 
 /// The call as gRPC sees it. It keeps itself alive until gRPC is done with it.
@@ -323,6 +340,7 @@ class FrameStream<Request, Response>::Call final : public Reactor {
   /// an answer comes into `response`: an abandoned call touches nothing of its user's.
   void start_read(Lock& lock) {
     reading = true;
+    set_end_mark(&response);
     outside(lock, [&] { this->StartRead(&response); });
   }
   void start_write(Lock& lock, const Request& request) {
@@ -344,7 +362,7 @@ class FrameStream<Request, Response>::Call final : public Reactor {
   std::condition_variable changed;
   Response response;
   bool reading = false, writing = false;  ///< asked for, and not there yet
-  bool read_ok = true, write_ok = true;
+  bool read_ok = true, write_ok = true, undecodable = false;
   std::optional<grpc::Status> status;
 
  private:
@@ -369,6 +387,7 @@ class FrameStream<Request, Response>::Call final : public Reactor {
     const std::lock_guard lock(mutex);
     reading = false;
     read_ok = ok;
+    undecodable = !ok && !has_end_mark(response);
     changed.notify_all();
   }
   void OnWriteDone(bool ok) override {
@@ -490,6 +509,9 @@ bool FrameStream<Request, Response>::read(Lock& lock) {
   const bool done = wait_for_peer(lock, Clock::now(), [&] { return !call_->reading; });
   reading_ = false;
   if (done && !ended_ && call_->read_ok) last_sign_ = Clock::now();
+  if (done && call_->undecodable) {
+    fail(lock, Error(ErrorCode::kInternal, options_.peer + " sent bytes that are no message of this stream"));
+  }
   call_->changed.notify_all();
   return done && !ended_ && call_->read_ok;
 }

@@ -1,6 +1,7 @@
 #include "common/store/dataset.hpp"
 
 #include <algorithm>
+#include <set>
 #include <sstream>
 
 #include "common/base/own_file.hpp"
@@ -162,6 +163,7 @@ void SequenceWriter::finish() {
 struct DatasetReader::State {
   std::filesystem::path folder;
   DatasetMaster master;
+  mutable std::set<std::filesystem::path> examined;  ///< files are opened for each call, and examined once
 
   struct Opened {
     hdf5::File file;
@@ -178,9 +180,11 @@ struct DatasetReader::State {
     const std::filesystem::path partial = path.string() + ".partial";
     std::error_code error;
     const bool finished = std::filesystem::exists(path, error);
-    hdf5::File file = hdf5::File::open(finished ? path : partial, false);
+    const std::filesystem::path& chosen = finished ? path : partial;
+    const bool known = !examined.insert(chosen).second;
+    hdf5::File file = known ? hdf5::File::open_own(chosen, false) : hdf5::File::open(chosen, false);
     store::check_format(file, kSequenceFormat);
-    const std::uint64_t complete = file.integer_attribute("/", "frames_complete");
+    const std::uint64_t complete = store::frames_complete(file);
     return {std::move(file), finished, complete};
   }
 };

@@ -23,6 +23,9 @@ namespace pleat {
 /// Version of all files that this folder writes. Readers accept exactly this one.
 inline constexpr int kStoreVersion = 1;
 
+/// Whether a file may come from elsewhere: such a file is examined before it is read (hdf5_probe.hpp).
+enum class FileOrigin { kElsewhere, kOwn };
+
 /// The coarse and the fine mesh of one piece of cloth.
 struct MeshPair {
   Topology coarse;

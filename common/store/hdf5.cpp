@@ -5,6 +5,7 @@
 #include <system_error>
 
 #include "common/base/own_file.hpp"
+#include "common/store/hdf5_probe.hpp"
 
 namespace pleat::hdf5 {
 namespace {
@@ -77,6 +78,23 @@ void fail(ErrorCode code, const std::filesystem::path& path, const std::string& 
   throw Error(cause.full ? ErrorCode::kResourceExhausted : code, message);
 }
 
+std::string why_unreadable(hid_t dataset) {
+  const Handle creation(H5Dget_create_plist(dataset), H5Pclose);
+  if (!creation || H5Pget_layout(creation.get()) == H5D_VIRTUAL || H5Pget_external_count(creation.get()) != 0) {
+    return " lies in another file";
+  }
+  for (int i = 0; i < H5Pget_nfilters(creation.get()); ++i) {
+    unsigned flags = 0, settings = 0;
+    std::size_t values = 0;
+    const H5Z_filter_t filter =
+        H5Pget_filter2(creation.get(), static_cast<unsigned>(i), &flags, &values, nullptr, 0, nullptr, &settings);
+    if (filter != H5Z_FILTER_DEFLATE && filter != H5Z_FILTER_SHUFFLE && filter != H5Z_FILTER_FLETCHER32) {
+      return " is packed in a way that is not read (HDF5's filter " + std::to_string(filter) + ")";
+    }
+  }
+  return "";
+}
+
 bool is_own(const std::filesystem::path& path) {
   std::error_code ignored;
   if (!std::filesystem::is_regular_file(std::filesystem::symlink_status(path, ignored))) return false;
@@ -103,6 +121,12 @@ File File::create(const std::filesystem::path& path) {
 }
 
 File File::open(const std::filesystem::path& path, bool writable) {
+  std::error_code error;
+  if (std::filesystem::is_regular_file(path, error)) require_harmless(path);
+  return open_own(path, writable);
+}
+
+File File::open_own(const std::filesystem::path& path, bool writable) {
   std::error_code error;
   if (!std::filesystem::is_regular_file(path, error)) throw_not_found(path.string() + ": no such file");
   const Handle access = access_properties(writable);
@@ -137,12 +161,18 @@ void File::rename(const std::filesystem::path& path) {
 }
 
 bool File::exists(const std::string& object) const {
-  // H5Lexists wants every group above to exist.
+  // H5Lexists wants every group above to exist. Links are not followed: a file from elsewhere must not choose what we
+  // read.
   std::size_t end = 0;
   while (end != std::string::npos) {
     end = object.find('/', end + 1);
     const std::string part = object.substr(0, end);
-    if (!part.empty() && part != "/" && H5Lexists(file_.get(), part.c_str(), H5P_DEFAULT) <= 0) return false;
+    if (part.empty() || part == "/") continue;
+    if (H5Lexists(file_.get(), part.c_str(), H5P_DEFAULT) <= 0) return false;
+    H5L_info_t link;
+    if (H5Lget_info(file_.get(), part.c_str(), &link, H5P_DEFAULT) < 0 || link.type != H5L_TYPE_HARD) {
+      throw_data_loss(path_.string() + ": " + part + " is a link");
+    }
   }
   return true;
 }
@@ -171,24 +201,23 @@ std::vector<std::string> File::list(const std::string& group) const {
 }
 
 Handle File::open_object(const std::string& object) const {
+  if (!exists(object)) throw_data_loss(path_.string() + ": has no " + object);
   Handle opened(H5Oopen(file_.get(), object.c_str(), H5P_DEFAULT), H5Oclose);
   if (!opened) fail(ErrorCode::kDataLoss, path_, "has no " + object);
   return opened;
 }
 
 Handle File::open_dataset(const std::string& dataset) const {
-  // Links out of the file are not followed: a file from elsewhere must not choose what we read.
   H5O_info_t info;
   if (!exists(dataset)) throw_data_loss(path_.string() + ": has no " + dataset);
-  H5L_info_t link;
-  if (H5Lget_info(file_.get(), dataset.c_str(), &link, H5P_DEFAULT) < 0 || link.type != H5L_TYPE_HARD) {
-    throw_data_loss(path_.string() + ": " + dataset + " is a link");
-  }
   if (H5Oget_info_by_name(file_.get(), dataset.c_str(), &info, H5P_DEFAULT) < 0 || info.type != H5O_TYPE_DATASET) {
     fail(ErrorCode::kDataLoss, path_, dataset + " is no array");
   }
   Handle opened(H5Dopen2(file_.get(), dataset.c_str(), H5P_DEFAULT), H5Dclose);
   if (!opened) fail(ErrorCode::kDataLoss, path_, "can't open " + dataset);
+  if (const std::string why = why_unreadable(opened.get()); !why.empty()) {
+    throw_data_loss(path_.string() + ": " + dataset + why);
+  }
   return opened;
 }
 

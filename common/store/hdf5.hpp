@@ -60,6 +60,10 @@ class Rows {
   Handle dataset_;
 };
 
+/// Why an open array is not read, or "": its bytes would come from other files (external storage, a virtual array), or
+/// through filters other than those that Pleat and h5py use (shuffle, deflate, Fletcher32).
+std::string why_unreadable(hid_t dataset);
+
 /// Whether `path` is a file of ours (a link is none): HDF5 whose attribute `format` begins with "pleat.".
 bool is_own(const std::filesystem::path& path);
 
@@ -69,8 +73,11 @@ class File {
   /// A new file, for recording: data go to the system at every write. One that is there already is replaced if it is
   /// ours (is_own), set aside (set_aside) otherwise.
   static File create(const std::filesystem::path& path);
-  /// Throws kNotFound, kInvalidArgument (not HDF5), kDataLoss (truncated).
+  /// A file that may come from elsewhere: examined first (hdf5_probe.hpp). Throws kNotFound, kInvalidArgument (not
+  /// HDF5), kDataLoss (truncated, damaged).
   static File open(const std::filesystem::path& path, bool writable);
+  /// The same for a file that Pleat has written where nobody else writes, or that was examined before.
+  static File open_own(const std::filesystem::path& path, bool writable);
 
   const std::filesystem::path& path() const { return path_; }
   hid_t id() const { return file_.get(); }
@@ -80,6 +87,7 @@ class File {
   /// Gives the file, open or closed, another name on the same volume; an existing one is replaced.
   void rename(const std::filesystem::path& path);
 
+  /// Throws kDataLoss where a link that leads out of its group, or of the file, stands in the way.
   bool exists(const std::string& object) const;
   /// Makes the group and those above it.
   void make_group(const std::string& group);

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <unistd.h>
+#include <zlib.h>
 
 #include <numeric>
 
@@ -25,10 +26,32 @@ hid_t memory_type(Array::Type type) {
 
 std::size_t value_size(Array::Type type) { return type == Array::Type::kDouble ? 8 : 4; }
 
+std::size_t row_bytes(const Array& array) {
+  return std::accumulate(array.row.begin(), array.row.end(), value_size(array.type), std::multiplies<>());
+}
+
+std::uint32_t crc32_of(const void* data, std::size_t bytes) {
+  return static_cast<std::uint32_t>(::crc32_z(0, static_cast<const Bytef*>(data), bytes));
+}
+
+constexpr const char* kChecksum = "crc32";
+
+/// Where the checksums of the rows of `array` are.
+std::string checksums_of(const std::string& array) { return "/checksums" + array; }
+
+void check_row(const hdf5::File& file, const std::string& name, std::uint64_t row, const void* data, std::size_t bytes,
+               std::uint32_t expected) {
+  if (crc32_of(data, bytes) == expected) return;
+  throw_data_loss(file.path().string() + ": damaged: frame " + std::to_string(row) + " of " + name +
+                  " does not match its checksum");
+}
+
 template <typename Matrix>
 void write_matrix(hdf5::File& file, const std::string& name, hid_t type, const Matrix& matrix) {
   file.write_array(name, type, {static_cast<hsize_t>(matrix.rows()), static_cast<hsize_t>(matrix.cols())},
                    matrix.data());
+  const auto bytes = static_cast<std::size_t>(matrix.size()) * sizeof(typename Matrix::Scalar);
+  file.set_attribute(name, kChecksum, std::uint64_t{crc32_of(matrix.data(), bytes)});
 }
 
 template <typename Matrix>
@@ -40,6 +63,11 @@ Matrix read_matrix(const hdf5::File& file, const std::string& name, hid_t type, 
   }
   Matrix matrix(static_cast<Eigen::Index>(extents[0]), static_cast<Eigen::Index>(Matrix::ColsAtCompileTime));
   file.rows(name).read(type, 0, extents[0], matrix.data());
+  const auto bytes = static_cast<std::size_t>(matrix.size()) * sizeof(typename Matrix::Scalar);
+  if (file.has_attribute(name, kChecksum) &&
+      file.integer_attribute(name, kChecksum) != crc32_of(matrix.data(), bytes)) {
+    throw_data_loss(file.path().string() + ": damaged: " + name + " does not match its checksum");
+  }
   return matrix;
 }
 
@@ -247,12 +275,29 @@ std::vector<Positions> read_positions(const hdf5::File& file, const std::string&
                     std::to_string(vertices) + " expected");
   }
   const hdf5::Rows rows = file.rows(name);
+  std::vector<std::uint32_t> checksums;  // not in older files
+  if (file.is_array(checksums_of(name))) {
+    file.extents(checksums_of(name), 1, kMaxFrames);
+    checksums.resize(last - first);
+    file.rows(checksums_of(name)).read(H5T_NATIVE_UINT32, first, checksums.size(), checksums.data());
+  }
   std::vector<Positions> frames;
   for (std::uint64_t k = first; k < last; ++k) {
-    frames.emplace_back(vertices, 3);
-    rows.read(H5T_NATIVE_FLOAT, k, 1, frames.back().data());
+    Positions& frame = frames.emplace_back(vertices, 3);
+    rows.read(H5T_NATIVE_FLOAT, k, 1, frame.data());
+    if (checksums.empty()) continue;
+    const auto bytes = static_cast<std::size_t>(frame.size()) * sizeof(float);
+    check_row(file, name, k, frame.data(), bytes, checksums[k - first]);
   }
   return frames;
+}
+
+std::uint64_t frames_complete(const hdf5::File& file) {
+  const std::uint64_t complete = file.integer_attribute("/", "frames_complete");
+  const hsize_t rows = file.extents("/time_s", 1, kMaxFrames)[0];
+  if (complete <= rows) return complete;
+  throw_data_loss(file.path().string() + ": damaged: " + std::to_string(complete) +
+                  " frames should be complete, it has " + std::to_string(rows));
 }
 
 void check_range(const hdf5::File& file, std::uint64_t first, std::uint64_t last, std::uint64_t complete) {
@@ -289,12 +334,20 @@ Recording::Recording(Plan plan) : plan_(std::move(plan)), partial_(plan_.path.st
     lock_ = std::make_unique<FileLock>(fresh);
     file_->rename(partial_);
   }
-  for (const Array& array : plan_.arrays) rows_.push_back(file_->rows(array.name));
+  open_rows();
+}
+
+void Recording::open_rows() {
+  for (const Array& array : plan_.arrays) {
+    rows_.push_back(file_->rows(array.name));
+    checksums_.push_back(array.large ? std::optional(file_->rows(checksums_of(array.name))) : std::nullopt);
+  }
 }
 
 Recording::~Recording() {
   const auto lock = hdf5::lock();
   rows_.clear();
+  checksums_.clear();
   file_.reset();
 }
 
@@ -319,7 +372,10 @@ bool Recording::try_resume() {
     if (file.string_attribute("/", "fingerprint") != plan_.fingerprint) return false;
     const std::uint64_t complete = file.integer_attribute("/", "frames_complete");
     if (complete > plan_.frames) return false;
-    for (const Array& array : plan_.arrays) file.rows(array.name);
+    for (const Array& array : plan_.arrays) {
+      file.rows(array.name);
+      if (array.large) file.rows(checksums_of(array.name));
+    }
     frames_complete_ = complete;
     file_.emplace(std::move(file));
     return true;
@@ -332,6 +388,9 @@ void Recording::make(hdf5::File& file, std::uint64_t frames, bool deflate) const
   file.set_attribute("/", "frames_complete", std::uint64_t{0});
   plan_.write_header(file);
   file.set_attribute("/", "fingerprint", plan_.fingerprint);
+  for (const Array& array : plan_.arrays) {
+    if (array.large) file.make_rows(checksums_of(array.name), H5T_NATIVE_UINT32, {frames}, 1024, false);
+  }
   for (const Array& array : plan_.arrays) {
     std::vector<hsize_t> extents = {frames};
     extents.insert(extents.end(), array.row.begin(), array.row.end());
@@ -348,6 +407,9 @@ void Recording::append(const std::vector<const void*>& rows) {
   const auto lock = hdf5::lock();
   for (std::size_t i = 0; i < rows.size(); ++i) {
     rows_[i].write(memory_type(plan_.arrays[i].type), frames_complete_, 1, rows[i]);
+    if (!checksums_[i]) continue;
+    const std::uint32_t checksum = crc32_of(rows[i], row_bytes(plan_.arrays[i]));
+    checksums_[i]->write(H5T_NATIVE_UINT32, frames_complete_, 1, &checksum);
   }
   file_->set_attribute("/", "frames_complete", frames_complete_ + 1);
   file_->flush();
@@ -362,9 +424,13 @@ void Recording::finish() {
     return;
   }
   if (frames_complete_ < plan_.frames) {
-    for (const Array& array : plan_.arrays) file_->cut_rows(array.name, frames_complete_);
+    for (const Array& array : plan_.arrays) {
+      file_->cut_rows(array.name, frames_complete_);
+      if (array.large) file_->cut_rows(checksums_of(array.name), frames_complete_);
+    }
   }
   rows_.clear();
+  checksums_.clear();
   file_->close();
   file_->rename(plan_.path);
   file_.reset();
@@ -379,10 +445,16 @@ void Recording::copy_compressed() {
   std::vector<char> row;
   for (std::size_t i = 0; i < plan_.arrays.size(); ++i) {
     const Array& array = plan_.arrays[i];
-    row.resize(std::accumulate(array.row.begin(), array.row.end(), value_size(array.type), std::multiplies<>()));
+    row.resize(row_bytes(array));
     hdf5::Rows target = copy.rows(array.name);
+    std::vector<std::uint32_t> checksums(checksums_[i] ? frames_complete_ : 0);
+    if (!checksums.empty()) {
+      checksums_[i]->read(H5T_NATIVE_UINT32, 0, checksums.size(), checksums.data());
+      copy.rows(checksums_of(array.name)).write(H5T_NATIVE_UINT32, 0, checksums.size(), checksums.data());
+    }
     for (std::uint64_t k = 0; k < frames_complete_; ++k) {
       rows_[i].read(memory_type(array.type), k, 1, row.data());
+      if (checksums_[i]) check_row(*file_, array.name, k, row.data(), row.size(), checksums[k]);
       target.write(memory_type(array.type), k, 1, row.data());
     }
   }
@@ -390,6 +462,7 @@ void Recording::copy_compressed() {
   copy.close();
   copy.rename(plan_.path);
   rows_.clear();
+  checksums_.clear();
   file_.reset();
   std::filesystem::remove(partial_);
   lock_.reset();

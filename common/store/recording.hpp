@@ -33,7 +33,7 @@ struct Array {
   std::string name;
   Type type = Type::kFloat;
   std::vector<hsize_t> row;  ///< extents of a row; empty for scalars
-  bool large = false;        ///< one chunk a frame, and compressed where wanted
+  bool large = false;        ///< one chunk a frame, with a checksum, and compressed where wanted
 };
 
 /// The arrays of obstacles, in the order in which obstacle_rows gives their data.
@@ -54,6 +54,9 @@ std::vector<std::vector<ObstacleFrame>> read_obstacles(const hdf5::File& file, c
 /// Rows [first, last) of a (T, V, 3) array. Throws kDataLoss if its V differs.
 std::vector<Positions> read_positions(const hdf5::File& file, const std::string& name, Eigen::Index vertices,
                                       std::uint64_t first, std::uint64_t last);
+
+/// The attribute `frames_complete`, once it is known that there are so many: memory is taken for as many. kDataLoss.
+std::uint64_t frames_complete(const hdf5::File& file);
 
 /// Throws kInvalidArgument, naming the file, unless first <= last <= complete.
 void check_range(const hdf5::File& file, std::uint64_t first, std::uint64_t last, std::uint64_t complete);
@@ -88,6 +91,7 @@ class Recording {
 
  private:
   bool try_resume();
+  void open_rows();
   void make(hdf5::File& file, std::uint64_t frames, bool deflate) const;
   void copy_compressed();
 
@@ -105,6 +109,7 @@ class Recording {
   std::unique_ptr<FileLock> lock_;
   std::optional<hdf5::File> file_;
   std::vector<hdf5::Rows> rows_;
+  std::vector<std::optional<hdf5::Rows>> checksums_;  ///< of large arrays' rows
   std::uint64_t frames_complete_ = 0;
 };
 

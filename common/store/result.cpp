@@ -123,14 +123,15 @@ struct ResultReader::State {
   }
 };
 
-ResultReader::ResultReader(const std::filesystem::path& path) {
+ResultReader::ResultReader(const std::filesystem::path& path, FileOrigin origin) {
   const auto lock = hdf5::lock();
-  state_ = std::make_unique<State>(hdf5::File::open(path, false));
+  state_ = std::make_unique<State>(origin == FileOrigin::kOwn ? hdf5::File::open_own(path, false)
+                                                              : hdf5::File::open(path, false));
   const hdf5::File& file = state_->file;
   store::check_format(file, kResultFormat);
   ResultOptions& info = state_->info;
   info.topology = store::read_topologies(file);
-  info.frames = file.integer_attribute("/", "frames_complete");
+  info.frames = store::frames_complete(file);
   info.frame_time_s = file.number_attribute("/", "frame_time_s");
   info.model = file.string_attribute("/", "model");
   info.scene = file.string_attribute("/", "scene");

@@ -62,7 +62,7 @@ class ResultWriter {
 /// Reads a result, finished or .partial. Errors as DatasetReader. Thread-safe.
 class ResultReader {
  public:
-  explicit ResultReader(const std::filesystem::path& path);
+  explicit ResultReader(const std::filesystem::path& path, FileOrigin origin = FileOrigin::kElsewhere);
   ~ResultReader();
 
   /// What the file was made with; `frames` is the number of complete frames.

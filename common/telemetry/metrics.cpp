@@ -35,7 +35,8 @@ struct Metrics::State {
         sessions(prometheus::BuildGauge().Name("pleat_sessions").Help("Open streams").Register(*registry)),
         inflight(
             prometheus::BuildGauge().Name("pleat_inflight_frames").Help("Frames being processed").Register(*registry)),
-        queues(prometheus::BuildGauge().Name("pleat_queue_depth").Help("Frames waiting").Register(*registry)) {
+        queues(
+            prometheus::BuildGauge().Name("pleat_queue_depth").Help("Frames or jobs that wait").Register(*registry)) {
     sessions.Add({{"service", service}});
   }
 

@@ -13,7 +13,7 @@ namespace pleat::telemetry {
 ///   pleat_frames_total{service,stage,result}     counter; result is ok or error
 ///   pleat_sessions{service}                      gauge of open streams
 ///   pleat_inflight_frames{service,stage}         gauge
-///   pleat_queue_depth{service,edge}              gauge
+///   pleat_queue_depth{service,edge}              gauge: frames or jobs that wait
 ///   pleat_NAME_total{service}, pleat_NAME{service}   by count() and set_gauge(), for what only one service has
 class Metrics {
  public:

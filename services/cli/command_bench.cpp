@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "common/base/machine.hpp"
+#include "common/base/own_file.hpp"
 #include "common/base/progress.hpp"
 #include "common/base/whole_file.hpp"
 #include "services/cli/command.hpp"
@@ -24,6 +25,9 @@ constexpr Benchmark kBenchmarks[] = {{"simulation", evaluation::bench_simulation
                                      {"pipeline", evaluation::bench_pipeline}};
 
 constexpr const char* kTables = "tables";
+// The second: of pages from before there was a first.
+constexpr std::string_view kTablesMarks[] = {"<meta name=\"generator\" content=\"pleat.tables\">",
+                                             "<title>Pleat: the paper's tables</title>"};
 
 struct BenchChoice {
   std::vector<std::string> names;  // empty: all
@@ -52,7 +56,9 @@ int tables(BenchChoice choice) {
   options.out = choice.options.out;
   if (options.draping.empty()) options.draping = larger("out/dataset/draping");
   if (options.hitting.empty()) options.hitting = larger("out/dataset/hitting");
-  std::filesystem::create_directories(options.out);
+  make_writable_folder(options.out);
+  const std::filesystem::path page = options.out / "tables.html";
+  require_replaceable(page, kTablesMarks);
   std::optional<Progress> progress;
   std::string shown;
   const evaluation::PaperTables result =
@@ -62,7 +68,6 @@ int tables(BenchChoice choice) {
         progress->update(done);
       });
   if (progress) progress->finish();
-  const std::filesystem::path page = options.out / "tables.html";
   write_whole_file(page, evaluation::to_html(result));
   if (choice.json) {
     const nlohmann::json json{

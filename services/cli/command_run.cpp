@@ -3,12 +3,14 @@
 #include <cstdio>
 #include <numeric>
 
+#include "common/base/own_file.hpp"
 #include "common/base/progress.hpp"
 #include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
 #include "common/client/adapter/adapter.hpp"
 #include "common/client/cpp/client.hpp"
 #include "common/frame/scene_json.hpp"
+#include "common/store/hdf5.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
@@ -172,6 +174,8 @@ class Run {
       const fs::path from = source.string() + ending;
       const fs::path to = (out_ / "result.h5").string() + ending;
       if (!fs::is_regular_file(from, failed)) continue;
+      // It was ours or absent when we began; what has come since may be somebody's.
+      if (!hdf5::is_own(to)) set_aside(to);
       fs::rename(from, to, failed);
       if (failed) throw Error(ErrorCode::kResourceExhausted, to.string() + ": " + failed.message());
       kept = to;

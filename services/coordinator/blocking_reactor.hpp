@@ -11,6 +11,8 @@
 #include <memory>
 #include <mutex>
 
+#include "common/rpc/end_mark.hpp"
+
 namespace pleat::coordinator {
 
 /// What streams to a client have in common; Base is grpc::ServerBidiReactor or grpc::ServerWriteReactor. Reactions only
@@ -147,11 +149,12 @@ class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Requ
   }
 
   /// The next message, valid until the next call; null when the client has no more, has gone, sent nothing within
-  /// `timeout`, or after interrupt().
+  /// `timeout`, sent bytes that are no message, or after interrupt().
   const Request* read(Duration timeout) {
     std::unique_lock lock(this->mutex_);
     if (this->interrupted_ || ended_) return nullptr;
     reading_ = true;
+    rpc::set_end_mark(&request_);
     lock.unlock();
     this->StartRead(&request_);
     lock.lock();
@@ -159,6 +162,12 @@ class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Requ
       this->timed_out_ = true;
     }
     return reading_ || ended_ ? nullptr : &request_;
+  }
+
+  /// Whether the last message could not be read.
+  bool undecodable() const {
+    const std::lock_guard lock(this->mutex_);
+    return undecodable_;
   }
 
  private:
@@ -169,11 +178,12 @@ class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Requ
     const std::lock_guard lock(this->mutex_);
     reading_ = false;
     ended_ = ended_ || !ok;
+    undecodable_ = !ok && !rpc::has_end_mark(request_);
     this->changed_.notify_all();
   }
 
   Request request_;
-  bool reading_ = false, ended_ = false;
+  bool reading_ = false, ended_ = false, undecodable_ = false;
 };
 
 }  // namespace pleat::coordinator

@@ -24,7 +24,7 @@ namespace fs = std::filesystem;
 std::uint64_t frames_on_disk(const fs::path& file) {
   if (!fs::exists(file)) return 0;
   try {
-    return ResultReader(file).frames_complete();
+    return ResultReader(file, FileOrigin::kOwn).frames_complete();
   } catch (const Error&) {
     return 0;  // the writer judges the file, and replaces one that it can't continue
   }
@@ -49,7 +49,7 @@ std::vector<v1::Frame> earlier_frames(const fs::path& partial, std::uint64_t fir
   std::vector<v1::Frame> earlier;
   if (window < 2 || first == 0) return earlier;
   const std::uint64_t begin = first - std::min<std::uint64_t>(first, window - 1), before = begin > 0 ? begin - 1 : 0;
-  const ResultReader reader(partial);
+  const ResultReader reader(partial, FileOrigin::kOwn);
   const std::vector<Positions> positions = reader.coarse(before, first);
   for (std::uint64_t index = begin; index < first; ++index) {
     Frame frame;
@@ -306,7 +306,7 @@ void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& r
   const fs::path result = folder / "result.h5";
   const fs::path path = folder / "reference.h5";
   {
-    const ResultReader enhanced(result);
+    const ResultReader enhanced(result, FileOrigin::kOwn);
     ResultOptions options = enhanced.info();
     options.has_fine = true;
     options.deflate = settings_.compress;

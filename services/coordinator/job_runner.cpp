@@ -101,6 +101,7 @@ JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
   // A request that is sent again asks the services for nothing.
   const bool known = !job.id.empty() && table_.contains(job.id);
   if (!known) {
+    require_room();
     const auto never = [] { return false; };
     const v1::ModelDescription model =
         uses_network(complete.detail()) ? describe_model(addresses_, link_, request.model(), never) : without_model();
@@ -121,10 +122,22 @@ JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
     {
       const std::lock_guard lock(mutex_);
       queue_.push_back(record.id);
+      show_queue();
     }
     changed_.notify_all();
   }
   return record;
+}
+
+void JobRunner::require_room() const {
+  const std::lock_guard lock(mutex_);
+  if (queue_.size() < settings_.max_queued) return;
+  throw Error(ErrorCode::kResourceExhausted, std::to_string(queue_.size()) + " jobs are waiting already");
+}
+
+/// With mutex_.
+void JobRunner::show_queue() const {
+  if (link_.metrics != nullptr) link_.metrics->set_queue_depth("jobs", queue_.size());
 }
 
 JobRecord JobRunner::cancel(const std::string& id) {
@@ -135,6 +148,7 @@ JobRecord JobRunner::cancel(const std::string& id) {
   {
     const std::lock_guard lock(mutex_);
     was_queued = std::erase(queue_, id) > 0;
+    show_queue();
     if (const auto found = active_.find(id); found != active_.end()) job = found->second;
   }
   if (was_queued) return table_.update(id, [](JobRecord& queued) { queued.state = JobState::kCancelled; });
@@ -176,6 +190,7 @@ void JobRunner::work() {
     if (stopping_) return;
     auto job = std::make_shared<ActiveJob>(queue_.front());
     queue_.pop_front();
+    show_queue();
     active_[job->id] = job;
     lock.unlock();
     execute(*job);
@@ -194,7 +209,7 @@ void JobRunner::execute(ActiveJob& job) {
     const fs::path result = table_.folder(job.id) / "result.h5";
     table_.update(job.id, [](JobRecord& record) { record.state = JobState::kRunning; });
     if (!fs::exists(result)) enhance(job, request);
-    if (request.reference() && !ResultReader(result).info().has_fine) {
+    if (request.reference() && !ResultReader(result, FileOrigin::kOwn).info().has_fine) {
       table_.update(job.id, [](JobRecord& record) { record.state = JobState::kReference; });
       simulate_reference(job, request);
     }

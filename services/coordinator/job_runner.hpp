@@ -21,6 +21,7 @@ namespace pleat::coordinator {
 
 struct JobSettings {
   std::size_t concurrency = 2;             ///< jobs at the same time; others are queued
+  std::size_t max_queued = 1000;           ///< jobs that wait
   std::uint32_t window = 4;                ///< frames in flight per stage and replica
   std::uint32_t checkpoint_interval = 25;  ///< frames between check-points of the simulation
   std::uint32_t max_frames = 1'000'000;    ///< of one job
@@ -37,7 +38,7 @@ class JobRunner {
 
   /// Checks the request (the scene by opening it in the simulation service, the bundle by asking for it) and queues it.
   /// Errors: kInvalidArgument and kNotFound from the services, kFailedPrecondition (bundle of another mesh),
-  /// kUnavailable naming the service's address.
+  /// kUnavailable naming the service's address, kResourceExhausted (a limit of the settings).
   JobRecord create(const v1::CreateJobRequest& request);
 
   /// Ends the job, if it has not ended, and waits for that (at most 5 s).
@@ -51,6 +52,8 @@ class JobRunner {
   bool stopping() const;
 
  private:
+  void require_room() const;
+  void show_queue() const;
   void work();
   void execute(ActiveJob& job);
   void enhance(ActiveJob& job, const v1::CreateJobRequest& request);

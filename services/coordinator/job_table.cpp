@@ -12,6 +12,7 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/base/own_file.hpp"
 #include "common/base/whole_file.hpp"
 
 namespace pleat::coordinator {
@@ -55,6 +56,7 @@ JobTable::JobTable(const fs::path& data) : jobs_(data / "jobs") {
     throw Error(ErrorCode::kUnavailable, "data folder " + data.string() + " is in use by another coordinator");
   }
   for (const auto& folder : fs::directory_iterator(jobs_)) {
+    if (!is_valid_job_id(folder.path().filename().string())) continue;
     const fs::path file = folder.path() / "job.json";
     try {
       const auto text = read_file(file);
@@ -94,8 +96,10 @@ std::pair<JobRecord, bool> JobTable::create(const JobRequest& request) {
   entry.record.model = request.model;
   entry.record.order = next_order_++;
   const fs::path folder = jobs_ / entry.record.id;
+  // What lies there without being a job is of a request that never came to be, damaged, or somebody's.
+  set_aside(folder);
   std::error_code error;
-  fs::create_directories(folder, error);
+  fs::create_directory(folder, error);
   if (error) throw Error(ErrorCode::kResourceExhausted, folder.string() + ": " + error.message());
   // The record comes last: a folder without one is no job.
   write_whole_file(folder / "request.pb", request.request);

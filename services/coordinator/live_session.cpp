@@ -11,6 +11,7 @@
 
 #include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
+#include "common/rpc/caller.hpp"
 #include "services/coordinator/fold_stage.hpp"
 #include "services/coordinator/velocity_filler.hpp"
 
@@ -82,6 +83,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     const v1::EnhanceRequest* first = reactor_->read(milliseconds(owner_.settings_.open_timeout_s));
     if (first == nullptr) {
       if (reactor_->timed_out()) fail_slow("sent no `open`", owner_.settings_.open_timeout_s);
+      if (reactor_->undecodable()) throw_invalid_argument(rpc::undecodable().error_message());
       return;
     }
     if (!first->has_open()) throw_invalid_argument("the first message of a stream must be `open`");
@@ -138,6 +140,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     pipeline.close();
     pipeline.wait();
     if (silent_) fail_slow("sent no frame", owner_.settings_.idle_timeout_s);
+    if (reactor_->undecodable()) throw_invalid_argument(rpc::undecodable().error_message());
     if (broken_sequence_) throw_invalid_argument("after `open` only frames may follow");
     if (is_draining()) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
   }
@@ -292,7 +295,10 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
 };
 
 LiveSessions::LiveSessions(ServiceAddresses addresses, LinkOptions link, LiveSettings settings)
-    : addresses_(std::move(addresses)), link_(std::move(link)), settings_(settings) {}
+    : addresses_(std::move(addresses)),
+      link_(std::move(link)),
+      settings_(settings),
+      quota_("live sessions", settings.max_sessions, settings.max_sessions_each) {}
 
 LiveSessions::~LiveSessions() {
   drain();
@@ -301,27 +307,31 @@ LiveSessions::~LiveSessions() {
 }
 
 LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context) {
+  const std::string client = rpc::caller(*context);
   const std::lock_guard lock(mutex_);
-  if (draining_ || sessions_.size() >= settings_.max_sessions) {
+  const grpc::Status admitted = rpc::guard([&] {
+    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    quota_.enter(client);
+  });
+  if (!admitted.ok()) {
     auto refused = Reactor::make(context);
-    refused->refuse(draining_
-                        ? grpc::Status(grpc::StatusCode::UNAVAILABLE, "the coordinator is stopping")
-                        : grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                                       "there are " + std::to_string(sessions_.size()) + " live sessions already"));
+    refused->refuse(admitted);
     return refused.get();
   }
   auto session = std::make_shared<Session>(*this, context, started_++);
   sessions_.insert(session);
   Reactor* reactor = session->reactor();
   try {
-    std::thread([this, session]() mutable {
+    std::thread([this, session, client]() mutable {
       session->run();
       const std::lock_guard ended(mutex_);
+      quota_.leave(client);
       sessions_.erase(session);
       session.reset();
       changed_.notify_all();
     }).detach();
   } catch (const std::system_error&) {
+    quota_.leave(client);
     sessions_.erase(session);
     reactor->refuse({grpc::StatusCode::UNAVAILABLE, "this host has no thread to spare"});
   }

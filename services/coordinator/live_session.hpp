@@ -8,12 +8,14 @@
 
 #include "pleat/v1/coordinator.pb.h"
 #include "services/coordinator/blocking_reactor.hpp"
+#include "services/coordinator/client_quota.hpp"
 #include "services/coordinator/pipeline.hpp"
 
 namespace pleat::coordinator {
 
 struct LiveSettings {
   std::size_t max_sessions = 32;
+  std::size_t max_sessions_each = 0;      ///< of one client (rpc::caller); 0: as many as all together
   double open_timeout_s = 10;             ///< for the client's first message
   double idle_timeout_s = 300;            ///< for its next frame
   double reader_timeout_s = 30;           ///< for it to take an answer
@@ -45,6 +47,7 @@ class LiveSessions {
   std::condition_variable changed_;
   std::set<std::shared_ptr<Session>> sessions_;
   std::size_t started_ = 0;
+  ClientQuota quota_;
   bool draining_ = false;
 };
 

@@ -102,7 +102,7 @@ Counts counts_of(const std::filesystem::path& file) {
   Counts counts;
   if (!std::filesystem::exists(file)) return counts;
   try {
-    const ResultReader reader(file);
+    const ResultReader reader(file, FileOrigin::kOwn);
     const std::uint64_t frames = reader.frames_complete();
     counts.penetrations = sum(reader.counts("penetrations", 0, frames));
     counts.self_intersections = sum(reader.counts("self_intersections", 0, frames));

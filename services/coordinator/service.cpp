@@ -8,6 +8,7 @@
 #include <thread>
 #include <utility>
 
+#include "common/rpc/caller.hpp"
 #include "services/coordinator/result_events.hpp"
 
 namespace pleat::coordinator {
@@ -74,21 +75,27 @@ CoordinatorService::CoordinatorService(const CoordinatorOptions& options, teleme
       runner_(table_, addresses_of(options), link_of(options, metrics), checked(options.jobs)),
       live_(addresses_of(options), link_of(options, metrics), checked(options.live)),
       metrics_(metrics),
-      max_watchers_(options.max_watchers),
-      reader_timeout_(milliseconds_of(options.live.reader_timeout_s, "reader-timeout-s")) {
+      reader_timeout_(milliseconds_of(options.live.reader_timeout_s, "reader-timeout-s")),
+      watcher_quota_("watchers of jobs", options.max_watchers, options.max_watchers_each) {
   for (const std::string& warning : table_.warnings()) spdlog::warn("{}", warning);
 }
 
-grpc::Status CoordinatorService::CreateJob(grpc::ServerContext*, const v1::CreateJobRequest* request, v1::Job* job) {
+grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v1::CreateJobRequest* request,
+                                           v1::Job* job) {
   return rpc::guard([&] {
     const JobRecord record = runner_.create(*request);
-    spdlog::info("job {} accepted: scene '{}', {} frames", record.id, record.scene_name, record.frames);
+    spdlog::info("job {} of {} accepted: scene '{}', {} frames", record.id, rpc::caller(*context), record.scene_name,
+                 record.frames);
     *job = to_job(record);
   });
 }
 
-grpc::Status CoordinatorService::CancelJob(grpc::ServerContext*, const v1::CancelJobRequest* request, v1::Job* job) {
-  return rpc::guard([&] { *job = to_job(runner_.cancel(request->id())); });
+grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v1::CancelJobRequest* request,
+                                           v1::Job* job) {
+  return rpc::guard([&] {
+    *job = to_job(runner_.cancel(request->id()));
+    spdlog::info("job {} cancelled by {}", job->id(), rpc::caller(*context));
+  });
 }
 
 grpc::Status CoordinatorService::ListJobs(grpc::ServerContext*, const v1::ListJobsRequest*,
@@ -183,7 +190,7 @@ class CoordinatorService::Watcher {
     if (!reader_ || index >= reader_->frames_complete()) {
       const auto path = result_file(service_.table_.folder(request_.id()));
       if (!path) throw_not_found("job " + request_.id() + " has no result file");
-      reader_.emplace(*path);
+      reader_.emplace(*path, FileOrigin::kOwn);
     }
     return *reader_;
   }
@@ -201,32 +208,40 @@ class CoordinatorService::Watcher {
 grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::CallbackServerContext* context,
                                                                      const v1::WatchJobRequest* asked) {
   auto writer = EventWriter::make(context);
+  const std::string client = rpc::caller(*context);
   const std::lock_guard lock(watchers_mutex_);
-  if (draining_) {
-    writer->refuse({grpc::StatusCode::UNAVAILABLE, "the coordinator is stopping"});
-  } else if (watchers_.size() >= max_watchers_) {
-    writer->refuse({grpc::StatusCode::RESOURCE_EXHAUSTED,
-                    "there are " + std::to_string(watchers_.size()) + " watchers of jobs already"});
-  } else {
-    try {
-      std::thread([this, writer, request = *asked] {
-        if (metrics_ != nullptr) metrics_->add_sessions(1);
-        writer->finish(rpc::guard([&]() -> grpc::Status {
-          if (Watcher(*this, request, *writer).run()) return grpc::Status::OK;
-          return writer->timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "the client does not read")
-                                     : grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
-        }));
-        if (metrics_ != nullptr) metrics_->add_sessions(-1);
-        const std::lock_guard ended(watchers_mutex_);
-        watchers_.erase(writer);
-        watchers_changed_.notify_all();
-      }).detach();
-      watchers_.insert(writer);
-    } catch (const std::system_error&) {
-      writer->refuse({grpc::StatusCode::UNAVAILABLE, "this host has no thread to spare"});
-    }
+  const grpc::Status admitted = rpc::guard([&] {
+    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    watcher_quota_.enter(client);
+  });
+  if (!admitted.ok()) {
+    writer->refuse(admitted);
+    return writer.get();
+  }
+  watchers_.insert(writer);
+  try {
+    std::thread([this, writer, client, request = *asked] { watch(*writer, client, request); }).detach();
+  } catch (const std::system_error&) {
+    watcher_quota_.leave(client);
+    watchers_.erase(writer);
+    writer->refuse({grpc::StatusCode::UNAVAILABLE, "this host has no thread to spare"});
   }
   return writer.get();
+}
+
+void CoordinatorService::watch(EventWriter& writer, const std::string& client, const v1::WatchJobRequest& request) {
+  if (metrics_ != nullptr) metrics_->add_sessions(1);
+  writer.finish(rpc::guard([&]() -> grpc::Status {
+    spdlog::info("job {} is watched by {}", table_.get(request.id()).id, client);
+    if (Watcher(*this, request, writer).run()) return grpc::Status::OK;
+    return writer.timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "the client does not read")
+                              : grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
+  }));
+  if (metrics_ != nullptr) metrics_->add_sessions(-1);
+  const std::lock_guard ended(watchers_mutex_);
+  watcher_quota_.leave(client);
+  std::erase_if(watchers_, [&](const auto& other) { return other.get() == &writer; });
+  watchers_changed_.notify_all();
 }
 
 v1::Job CoordinatorService::to_job(const JobRecord& record) const {

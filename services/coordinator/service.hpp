@@ -13,6 +13,7 @@
 #include "common/rpc/channel.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
+#include "services/coordinator/client_quota.hpp"
 #include "services/coordinator/job_runner.hpp"
 #include "services/coordinator/live_session.hpp"
 
@@ -25,11 +26,12 @@ struct CoordinatorOptions {
   std::string superres = default_address("superres");
   std::string fold = default_address("fold");
   std::string refinement = default_address("refinement");
-  std::string data = "pleat-data";  ///< folder of the jobs
-  rpc::TlsOptions service_tls;      ///< towards the services
-  double give_up_s = 30;            ///< a service that is away this long fails its sessions
-  double answer_timeout_s = 60;     ///< longest wait for one frame, or for a session to open
-  std::size_t max_watchers = 256;   ///< calls of WatchJob at the same time
+  std::string data = "pleat-data";    ///< folder of the jobs
+  rpc::TlsOptions service_tls;        ///< towards the services
+  double give_up_s = 30;              ///< a service that is away this long fails its sessions
+  double answer_timeout_s = 60;       ///< longest wait for one frame, or for a session to open
+  std::size_t max_watchers = 256;     ///< calls of WatchJob at the same time
+  std::size_t max_watchers_each = 0;  ///< of one client (rpc::caller); 0: as many as all together
   JobSettings jobs;
   LiveSettings live;
 };
@@ -61,6 +63,7 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   using EventWriter = BlockingWriter<v1::JobEvent>;
   class Watcher;
 
+  void watch(EventWriter& writer, const std::string& client, const v1::WatchJobRequest& request);
   v1::Job to_job(const JobRecord& record) const;
 
   std::atomic<bool> draining_{false};
@@ -68,11 +71,11 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   JobRunner runner_;
   LiveSessions live_;
   telemetry::Metrics* const metrics_;
-  const std::size_t max_watchers_;
   const std::chrono::milliseconds reader_timeout_;
   std::mutex watchers_mutex_;
   std::condition_variable watchers_changed_;
   std::set<std::shared_ptr<EventWriter>> watchers_;
+  ClientQuota watcher_quota_;
 };
 
 }  // namespace pleat::coordinator

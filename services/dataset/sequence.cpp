@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/base/own_file.hpp"
 #include "common/base/whole_file.hpp"
 #include "common/store/dataset.hpp"
 #include "services/simulation/simulation.hpp"
@@ -34,19 +35,22 @@ void save_checkpoint(const fs::path& path, const simulation::Simulation& simulat
   write_whole_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 
-/// Restores the check-point if there is one that helps: not beyond the recorded frames, and of this very scene.
+/// Restores the check-point if there is one that helps: not beyond the recorded frames, and of this very scene. What is
+/// no check-point, by its own checksum, may be somebody's: it is set aside.
 void restore_checkpoint(const fs::path& path, std::uint64_t frames_complete, const SequencePlan& plan,
                         simulation::Simulation& simulation) {
+  std::error_code ignored;
+  if (!fs::is_regular_file(fs::symlink_status(path, ignored))) return set_aside(path);
   std::ifstream stream(path, std::ios::binary);
-  if (!stream) return;
   const std::vector<char> text((std::istreambuf_iterator<char>(stream)), {});
   std::vector<std::byte> bytes(text.size());
   std::transform(text.begin(), text.end(), bytes.begin(), [](char c) { return static_cast<std::byte>(c); });
   try {
     simulation.restore(bytes);
     if (simulation.next_index() <= frames_complete) return;
-  } catch (const Error&) {
-    // Of another scene or damaged: the frames are simulated again, which gives the same bits.
+  } catch (const Error& error) {
+    // Of another scene, or damaged: the frames are simulated again, which gives the same bits.
+    if (error.code() == ErrorCode::kDataLoss) set_aside(path);
   }
   simulation = simulation::Simulation(plan.scene, mode_of(plan));
 }

@@ -7,6 +7,7 @@
 #include <map>
 #include <sstream>
 
+#include "common/base/scratch_folder.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/rpc/channel.hpp"
 #include "services/cli/launcher/launcher.hpp"
@@ -134,10 +135,8 @@ Method watched(const Method& method, const std::string& sequence, std::uint64_t 
           }};
 }
 
-/// Bundles of one benchmark in a folder of their own, from which the services load them.
+/// Bundles of one benchmark into a folder of their own, from which the services load them.
 std::vector<std::string> collect(const TablesOptions& options, const std::string& set, const fs::path& folder) {
-  fs::remove_all(folder);
-  fs::create_directories(folder);
   std::vector<std::string> names;
   for (const Wanted& bundle : wanted(options, set)) {
     const fs::path models = options.models.empty() ? cli::default_models_folder() : options.models;
@@ -178,8 +177,9 @@ Benchmark measure(const TablesOptions& options, const Printed& printed, const fs
   benchmark.positions["coarse"] = std::move(dataset.coarse(sequence, index, index + 1).at(0));
   benchmark.positions["reference"] = std::move(dataset.fine(sequence, index, index + 1).at(0));
 
-  const fs::path models = options.out / ("tables-" + set);
-  const std::vector<std::string> bundles = collect(options, set, models);
+  fs::create_directories(options.out);
+  const ScratchFolder models(options.out, ".pleat-models");
+  const std::vector<std::string> bundles = collect(options, set, models.path());
   std::vector<Method> methods{barycentric_method(dataset.topology())};
   const auto all = dataset.sequences();
   if (std::any_of(all.begin(), all.end(), [](const SequenceInfo& s) { return s.split == "train"; }))
@@ -187,7 +187,7 @@ Benchmark measure(const TablesOptions& options, const Printed& printed, const fs
   std::optional<cli::Launcher> launcher;
   if (!bundles.empty()) {
     cli::LauncherOptions launch;
-    launch.models = models;
+    launch.models = models.path();
     launch.model = bundles.front();
     launch.data = options.out / "services";
     launch.logs = options.out / "logs";

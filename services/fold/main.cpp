@@ -1,11 +1,12 @@
 // The fold service.
+#include "common/base/runtime_folder.hpp"
 #include "common/rpc/server.hpp"
 #include "services/fold/service.hpp"
 
 int main(int argc, char** argv) {
   return pleat::rpc::service_main("pleat-fold", [&] {
     pleat::rpc::ServerOptions server;
-    server.listen = "unix:/tmp/pleat/fold.sock";
+    server.listen = pleat::default_address("fold");
     pleat::fold::ServiceOptions fold;
     pleat::config::Options options("pleat-fold", "Makes fine frames by physics, held to the coarse cloth.",
                                    "PLEAT_FOLD_");

@@ -75,6 +75,22 @@ TEST(ServerAddress, APortThatIsTakenIsNamed) {
             ErrorCode::kUnavailable);
 }
 
+TEST(ServerAddress, ASocketOfAnotherKindIsSomebodys) {
+  const std::string path = socket_file("datagram");
+  const int other = socket(AF_UNIX, SOCK_DGRAM, 0);
+  sockaddr_un name{};
+  name.sun_family = AF_UNIX;
+  std::strncpy(name.sun_path, path.c_str(), sizeof(name.sun_path) - 1);
+  ASSERT_EQ(bind(other, reinterpret_cast<sockaddr*>(&name), sizeof(name)), 0);
+  SampleRefinement service;
+  ServerOptions options;
+  options.listen = "unix:" + path;
+  EXPECT_EQ(code_of([&] { Server(options, {{&service, "pleat.v1.Refinement"}}); }, path), ErrorCode::kUnavailable);
+  EXPECT_TRUE(std::filesystem::exists(path));
+  close(other);
+  std::filesystem::remove(path);
+}
+
 TEST(ServerAddress, OnlyAStaleSocketIsRemoved) {
   const std::string path = socket_file("stale");
   // What a killed server leaves behind: a socket file that nobody listens on.

@@ -3,6 +3,7 @@
 
 #include <thread>
 
+#include "tests/support/raw_stream.hpp"
 #include "tests/unit/common/rpc/sample_service.hpp"
 
 namespace pleat::rpc {
@@ -231,6 +232,21 @@ TEST_F(Stream, AClientThatDoesNotReadIsCutOff) {
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), ErrorCode::kUnavailable) << error.what();
   }
+  expect_no_sessions();
+}
+
+TEST_F(Stream, BytesThatAreNoMessageEndTheStreamWithTheirCause) {
+  serve();
+  const auto channel = create_channel(server->address());
+  const auto garbage = test::with_first_field("\xff\xff\xff"), open = test::with_first_field("");
+  for (const auto& messages : {std::vector{garbage}, std::vector{open, garbage}}) {
+    const grpc::Status refine = test::send_raw<v1::RefineResponse>(channel, "/pleat.v1.Refinement/Refine", messages);
+    EXPECT_EQ(refine.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << refine.error_message();
+    EXPECT_EQ(refine.error_message(), "bytes that are no message of this stream");
+  }
+  const grpc::Status simulate =
+      test::send_raw<v1::SimulateResponse>(channel, "/pleat.v1.Simulation/Simulate", {open, garbage});
+  EXPECT_EQ(simulate.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << simulate.error_message();
   expect_no_sessions();
 }
 

@@ -39,7 +39,8 @@ class CoordinatorTest : public ::testing::Test {
     builder.RegisterService(service_.get());
     server_ = builder.BuildAndStart();
     ASSERT_NE(server_, nullptr);
-    stub_ = v1::Coordinator::NewStub(rpc::create_channel(address));
+    channel_ = rpc::create_channel(address);
+    stub_ = v1::Coordinator::NewStub(channel_);
   }
 
   /// As the server runner does at a signal.
@@ -118,6 +119,7 @@ class CoordinatorTest : public ::testing::Test {
   CoordinatorOptions options_;
   std::unique_ptr<CoordinatorService> service_;
   std::unique_ptr<grpc::Server> server_;
+  std::shared_ptr<grpc::Channel> channel_;
   std::unique_ptr<v1::Coordinator::Stub> stub_;
 };
 

@@ -247,13 +247,21 @@ TEST_F(JobsTest, ACancelledJobKeepsItsFrames) {
 
 TEST_F(JobsTest, JobsBeyondTheLimitAreQueued) {
   options_.jobs.concurrency = 1;
+  options_.jobs.max_queued = 2;
   start();
   fakes_.simulation().faults.delay(5ms);
   create(100'000, "a");
-  create(3, "b");
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() > 0; }));
+  create(3, "b");
   EXPECT_EQ(get("b").state(), v1::Job::STATE_QUEUED);
   create(3, "c");
+  EXPECT_NE(metrics_.text().find("pleat_queue_depth{edge=\"jobs\",service=\"coordinator\"} 2"), std::string::npos)
+      << metrics_.text();
+  v1::CreateJobRequest further;
+  *further.mutable_scene() = testing::fake_scene(3);
+  further.set_job_id("d");
+  v1::Job job;
+  EXPECT_EQ(create(further, &job).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
   EXPECT_EQ(cancel("c").state(), v1::Job::STATE_CANCELLED);
   cancel("a");
   fakes_.simulation().faults.delay(0ms);

@@ -106,6 +106,16 @@ TEST_F(JobTableTest, ADamagedRecordIsReportedAndHurtsNoOther) {
   EXPECT_FALSE(table.contains("a"));
 }
 
+TEST_F(JobTableTest, WhatLiesWhereAJobShouldIsSetAside) {
+  JobTable table(data_);
+  fs::create_directories(data_ / "jobs/a");
+  std::ofstream(data_ / "jobs/a/request.pb") << "mine";
+  table.create(request("a"));
+  EXPECT_EQ(table.request("a"), request().request);
+  std::ifstream kept(data_ / "jobs/a.aside-1/request.pb");
+  EXPECT_EQ(std::string(std::istreambuf_iterator<char>(kept), {}), "mine");
+}
+
 TEST_F(JobTableTest, AForbiddenChangeOfStateChangesNothing) {
   JobTable table(data_);
   table.create(request("a"));

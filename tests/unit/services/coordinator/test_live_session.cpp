@@ -2,6 +2,7 @@
 #include <memory>
 
 #include "common/frame/messages.hpp"
+#include "tests/support/raw_stream.hpp"
 #include "tests/unit/services/coordinator/coordinator_fixture.hpp"
 
 namespace pleat::coordinator {
@@ -298,6 +299,18 @@ TEST_F(LiveSessionTest, ASecondOpenEndsTheStreamAfterTheFramesBefore) {
   client->send(open_request());
   expect_frame(client->receive(), 0);
   EXPECT_EQ(client->finish().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
+TEST_F(LiveSessionTest, BytesThatAreNoMessageEndTheSessionWithTheirCause) {
+  start();
+  const auto garbage = test::with_first_field("\xff\xff\xff");
+  const auto open = test::with_first_field(open_request().open().SerializeAsString());
+  for (const auto& messages : {std::vector{garbage}, std::vector{open, garbage}}) {
+    const grpc::Status status =
+        test::send_raw<v1::EnhanceResponse>(channel_, "/pleat.v1.Coordinator/Enhance", messages);
+    EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << status.error_message();
+    EXPECT_EQ(status.error_message(), "bytes that are no message of this stream");
+  }
 }
 
 TEST_F(LiveSessionTest, SessionsAreLimited) {

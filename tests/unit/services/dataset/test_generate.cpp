@@ -326,6 +326,21 @@ TEST_F(SmallSet, WhatIsInTheWayOfARecordingIsSetAside) {
   EXPECT_TRUE(std::filesystem::is_directory(partial + ".aside-1/mine"));
 }
 
+TEST_F(SmallSet, WhatIsNoCheckpointIsSetAside) {
+  options.scenes.train = 2;
+  options.scenes.test = 0;
+  const std::string file = options.folder / "sequences/draping-00.checkpoint",
+                    link = options.folder / "sequences/draping-01.checkpoint", precious = root / "precious";
+  std::filesystem::create_directories(options.folder / "sequences");
+  std::ofstream(file) << "mine";
+  std::ofstream(precious) << "mine";
+  std::filesystem::create_symlink(precious, link);
+  make();
+  EXPECT_EQ(bytes_of(file + ".aside-1"), "mine");
+  EXPECT_TRUE(std::filesystem::is_symlink(link + ".aside-1"));
+  EXPECT_EQ(bytes_of(precious), "mine");
+}
+
 TEST_F(SmallSet, HittingHasABall) {
   options.scenes.set = "hitting";
   options.scenes.train = 1;

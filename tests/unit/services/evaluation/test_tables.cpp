@@ -65,6 +65,14 @@ TEST_F(Tables, HaveThePrintedFiguresBesideThoseOfTheData) {
   EXPECT_EQ(row(result.tables[2], {"SKIRT"}).entries[4].printed, 62.88);
 }
 
+TEST_F(Tables, RemoveNothingOfOthers) {
+  const fs::path precious = folder_ / "out" / "tables-draping" / "precious.txt";
+  fs::create_directories(precious.parent_path());
+  std::ofstream(precious) << "mine";
+  tables();
+  EXPECT_TRUE(fs::exists(precious));
+}
+
 TEST_F(Tables, EveryCommandNamesAConfigurationThatIsShipped) {
   const PaperTables result = tables();
   const fs::path root = std::getenv("PLEAT_SOURCE_DIR");

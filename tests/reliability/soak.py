@@ -1,0 +1,204 @@
+#!/usr/bin/env python3
+"""Live sessions of honest clients for a long time, first alone, then among jobs, watchers that come and go, silent
+sessions, flooders and clients that never read.
+
+    soak.py PLEAT [--minutes 60] [--sessions 24] [--rate 2] [--judge]
+
+Prints latencies (from sending a frame to having its answer) and the memory of the services. Exit code 1 if an honest
+client lost a frame, got an error or was refused, or a service was replaced; with --judge also if memory grew by 1 % or more
+after the first 5 minutes (or tenth), or the 99th percentile is not below twice the undisturbed one."""
+
+import argparse
+import os
+import queue
+import random
+import shutil
+import sys
+import threading
+import time
+
+import harness
+from harness import common_pb2, coordinator_pb2, coordinator_pb2_grpc, grpc
+
+ALONE = 0.2  # of the time
+
+
+class Honest(threading.Thread):
+    """A live session at a fixed rate; begins anew when it has ended."""
+
+    def __init__(self, soak, number):
+        super().__init__(daemon=True)
+        self.soak, self.number = soak, number
+
+    def run(self):
+        while not self.soak.over.is_set():
+            try:
+                self.session()
+            except Exception as error:  # whatever it is, an honest client met it
+                if not self.soak.over.is_set():
+                    self.soak.fault(f"session {self.number}: {error}")
+                    time.sleep(1)
+
+    def session(self):
+        requests, sent = queue.Queue(), {}
+        requests.put(coordinator_pb2.EnhanceRequest(open=coordinator_pb2.EnhanceOpen(coarse=self.soak.cloth)))
+        with self.soak.up.channel() as channel:
+            answers = coordinator_pb2_grpc.CoordinatorStub(channel).Enhance(iter(requests.get, None))
+            if not next(answers).HasField("opened"):
+                raise RuntimeError("no `opened`")
+            due = time.monotonic() + random.random() / self.soak.rate
+            for index in range(random.randrange(50, 500)):
+                if self.soak.over.wait(max(0, due - time.monotonic())):
+                    break
+                sent[index] = time.monotonic()
+                frame = common_pb2.Frame(index=index, positions=self.soak.cloth.rest_positions)
+                requests.put(coordinator_pb2.EnhanceRequest(frame=coordinator_pb2.EnhanceFrame(coarse=frame)))
+                answer = next(answers)
+                if answer.frame.fine.index != index or answer.HasField("error"):
+                    raise RuntimeError(f"frame {index} was answered by {answer.error or answer.frame.fine.index}")
+                self.soak.note(time.monotonic() - sent[index])
+                due = max(due + 1 / self.soak.rate, time.monotonic())
+            requests.put(None)
+            for _ in answers:
+                raise RuntimeError("an answer too many")
+
+
+class Soak:
+    def __init__(self, options):
+        self.up = harness.Up(options.pleat, str(harness.WORK / "data"))
+        self.cloth, self.rate, self.options = harness.tablecloth(), options.rate, options
+        self.over, self.disturbing = threading.Event(), threading.Event()
+        self.lock, self.faults, self.latencies = threading.Lock(), [], {False: [], True: []}
+        self.disturbances = {}
+
+    def fault(self, text):
+        with self.lock:
+            self.faults.append(text)
+        print(text, flush=True)
+
+    def note(self, seconds):
+        with self.lock:
+            self.latencies[self.disturbing.is_set()].append(seconds)
+
+    def disturb(self, name, action):
+        """Does it again and again; what happens to a disturber is its own affair."""
+        def work():
+            while not self.over.is_set():
+                try:
+                    with self.up.channel() as channel:
+                        action(coordinator_pb2_grpc.CoordinatorStub(channel))
+                except (grpc.RpcError, StopIteration):
+                    pass
+                with self.lock:
+                    self.disturbances[name] = self.disturbances.get(name, 0) + 1
+                self.over.wait(random.random())
+        threading.Thread(target=work, daemon=True).start()
+
+    def job(self, stub):
+        job = stub.CreateJob(coordinator_pb2.CreateJobRequest(scene=harness.falling_cloth(40, random.randrange(100))),
+                             timeout=60)
+        for event in stub.WatchJob(coordinator_pb2.WatchJobRequest(id=job.id, include_frames=True), timeout=300):
+            if self.over.is_set() or event.progress.state >= coordinator_pb2.Job.STATE_DONE:
+                return
+
+    def fleeting_watcher(self, stub):
+        jobs = stub.ListJobs(coordinator_pb2.ListJobsRequest(), timeout=10).jobs
+        watch = stub.WatchJob(coordinator_pb2.WatchJobRequest(id=jobs[0].id if jobs else "none", include_frames=True),
+                              timeout=20)
+        for _ in range(random.randrange(1, 5)):
+            next(watch)
+        watch.cancel()
+
+    def silent_session(self, stub):
+        never = queue.Queue()
+        answers = stub.Enhance(iter(never.get, None))
+        self.over.wait(20)
+        answers.cancel()
+        never.put(None)
+
+    def deaf_session(self, stub):
+        """Sends frames and takes no answer."""
+        requests = queue.Queue()
+        answers = stub.Enhance(iter(requests.get, None))
+        requests.put(coordinator_pb2.EnhanceRequest(open=coordinator_pb2.EnhanceOpen(coarse=self.cloth)))
+        for index in range(100):
+            frame = common_pb2.Frame(index=index, positions=self.cloth.rest_positions)
+            requests.put(coordinator_pb2.EnhanceRequest(frame=coordinator_pb2.EnhanceFrame(coarse=frame)))
+        self.over.wait(40)
+        answers.cancel()
+        requests.put(None)
+
+    def flood(self, stub):
+        """Large messages that are refused."""
+        shape = common_pb2.Topology(rest_positions=[0.0] * 3_000_000, faces=[0, 1, 2] * 300_000)
+        stream = stub.Enhance(iter([coordinator_pb2.EnhanceRequest(
+            open=coordinator_pb2.EnhanceOpen(coarse=shape, subdivision_rounds=5))]), timeout=30)
+        next(stream)
+
+    def garbage(self, stub):
+        channel = self.up.channel()
+        call = channel.stream_stream("/pleat.v1.Coordinator/Enhance", request_serializer=bytes, response_deserializer=bytes)
+        list(call(iter([os.urandom(2000)]), timeout=10))
+
+    def memory_mb(self):
+        return {name: harness.resident_mb(process) for name, process in self.up.services().items()}
+
+    def run(self):
+        processes, seconds = self.up.services(), 60 * self.options.minutes
+        for number in range(self.options.sessions):
+            Honest(self, number).start()
+        time.sleep(ALONE * seconds)
+        self.disturbing.set()
+        for name in ("job", "fleeting_watcher", "silent_session", "silent_session", "deaf_session", "deaf_session", "flood",
+                     "garbage"):
+            self.disturb(name, getattr(self, name))
+        settle = min(300, 0.1 * seconds)
+        time.sleep(settle)
+        before = sum(self.memory_mb().values())
+        time.sleep(max(0, (1 - ALONE) * seconds - settle))
+        after = self.memory_mb()
+        self.over.set()
+        if self.up.services() != processes:
+            self.fault(f"services were replaced: {processes} -> {self.up.services()}")
+        time.sleep(1)
+        code = self.up.stop()
+        if code:
+            self.fault(f"`pleat up` ended with exit code {code}")
+        return before, after
+
+    def report(self, before, after):
+        growth = sum(after.values()) / before - 1
+        p99 = {}
+        for disturbed, values in self.latencies.items():
+            values.sort()
+            if not values:
+                self.fault(f"no frames {'among disturbers' if disturbed else 'alone'}")
+                values.append(float("nan"))
+            p99[disturbed] = values[int(0.99 * (len(values) - 1))]
+            print(f"{'among disturbers' if disturbed else 'alone'}: {len(values)} frames, latency median "
+                  f"{1e3 * values[len(values) // 2]:.1f} ms, p99 {1e3 * p99[disturbed]:.1f} ms")
+        print(f"memory {before:.0f} -> {sum(after.values()):.0f} MB ({100 * growth:+.2f} %): "
+              f"{ {name: round(value) for name, value in after.items()} }")
+        print(f"disturbances: {self.disturbances}; faults: {len(self.faults)}")
+        bad = bool(self.faults)
+        if self.options.judge:
+            bad = bad or growth >= 0.01 or not p99[True] < 2 * p99[False]
+        return 1 if bad else 0
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pleat")
+    parser.add_argument("--minutes", type=float, default=60)
+    parser.add_argument("--sessions", type=int, default=24)
+    parser.add_argument("--rate", type=float, default=2, help="frames a second of each session")
+    parser.add_argument("--judge", action="store_true")
+    options = parser.parse_args()
+    soak = Soak(options)
+    code = soak.report(*soak.run())
+    sys.stdout.flush()
+    shutil.rmtree(harness.WORK, True)
+    os._exit(code)  # threads may still wait for a process that has gone
+
+
+main()
