@@ -1,34 +1,38 @@
 #!/usr/bin/python3
-"""A contact sheet of scenes: coarse cloth, fold step, tracked and free simulation at three frames each, as a PNG.
+"""A contact sheet of scenes: coarse cloth, fold step, tracked and free simulation side by side, as a PNG.
 
-    docs/images/contact_sheet.py FOLDER OUT.png
+    docs/images/contact_sheet.py FOLDER OUT.png [--scenes draping,hitting] [--frames 20,40,60] [--kinds coarse,fold,tracked,free] [--size 200]
 
 FOLDER has SCENE-fold.h5 (bench_fold_step), SCENE-tracked.h5 and SCENE-free.h5 (bench_record_fine) of 61 frames for every
 scene. Needs Debian's python3-numpy and python3-h5py.
 """
-import sys
+import argparse
 
 import h5py
 import numpy as np
 
 import film_strip
 
-SCENES = ("draping", "hitting", "figure", "flag", "curtain", "ball")
-FRAMES = (20, 40, 60)
-KINDS = (("fold", "coarse"), ("fold", "enhanced"), ("tracked", "fine"), ("free", "fine"))
+KINDS = {"coarse": ("fold", "coarse"), "fold": ("fold", "enhanced"), "tracked": ("tracked", "fine"), "free": ("free", "fine")}
 
 
 def main():
-    if len(sys.argv) != 3:
-        sys.exit(__doc__.strip())
-    folder, out = sys.argv[1:]
-    film_strip.SIZE = 200
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder")
+    parser.add_argument("out")
+    parser.add_argument("--scenes", default="draping,hitting,figure,flag,curtain,ball")
+    parser.add_argument("--frames", default="20,40,60")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--size", type=int, default=200, help="pixels of one picture")
+    options = parser.parse_args()
+    film_strip.SIZE = options.size
     rows = []
-    for scene in SCENES:
+    for scene in options.scenes.split(","):
         pictures = []
-        for frame in FRAMES:
-            for file, level in KINDS:
-                with h5py.File(f"{folder}/{scene}-{file}.h5") as result:
+        for frame in map(int, options.frames.split(",")):
+            for kind in options.kinds.split(","):
+                file, level = KINDS[kind]
+                with h5py.File(f"{options.folder}/{scene}-{file}.h5") as result:
                     coarse = result["coarse/positions"][frame].astype(float)
                     mesh = "coarse" if level == "coarse" else "fine"
                     faces = result[f"topology/{mesh}/faces"][:].astype(int)
@@ -36,7 +40,7 @@ def main():
                     picture.draw(result[f"{level}/positions"][frame].astype(float), faces, film_strip.CLOTH)
                     pictures.append(picture.image)
         rows.append(np.hstack(pictures))
-    film_strip.write_png(out, np.ascontiguousarray(np.vstack(rows)))
+    film_strip.write_png(options.out, np.ascontiguousarray(np.vstack(rows)))
 
 
 if __name__ == "__main__":
