@@ -48,7 +48,7 @@ class Package(unittest.TestCase):
         cls.client.close()
 
     def test_frames_come_back_in_order_and_clean(self):
-        with self.client.session(GARMENT) as session:
+        with self.client.session(GARMENT, model="draping") as session:
             self.assertEqual(session.fine.positions.shape, (11393, 3))
             frames = list(session.enhance(waves(6)))
             self.assertEqual([frame.index for frame in frames], list(range(6)))
@@ -68,14 +68,22 @@ class Package(unittest.TestCase):
                 read.append(k)
                 yield frame
 
-        with self.client.session(GARMENT, window=2) as session:
+        with self.client.session(GARMENT, model="draping", window=2) as session:
             for frame in session.enhance(source()):
                 self.assertLessEqual(len(read), frame.index + 2)
+
+    def test_the_fold_step_needs_no_bundle(self):
+        with self.client.session(GARMENT, detail="fold") as session:
+            frames = list(session.enhance(waves(2)))
+        self.assertIn("fold", frames[1].stage_ms)
+        self.assertNotIn("superres", frames[1].stage_ms)
+        with self.assertRaisesRegex(ValueError, "network, fold and both"):
+            self.client.session(GARMENT, detail="folds")
 
     def test_obstacles_keep_the_cloth_out(self):
         center = [0.0, -0.095, 0.0]
         ball = pleat.sphere("ball", center, 0.1)
-        with self.client.session(GARMENT, obstacles=[ball]) as session:
+        with self.client.session(GARMENT, model="draping", obstacles=[ball]) as session:
             flat = GARMENT.positions - [0, GARMENT.positions[:, 1].mean(), 0]
             fine = session.enhance_all([flat.astype(np.float32)])[0]
         self.assertGreater(np.linalg.norm(fine - np.float32(center), axis=1).min(), 0.0999)
@@ -84,7 +92,7 @@ class Package(unittest.TestCase):
         with self.assertRaisesRegex(pleat.PleatError, "nobody") as caught:
             self.client.session(GARMENT, model="nobody")
         self.assertEqual(caught.exception.code, "NOT_FOUND")
-        with self.client.session(GARMENT) as session:
+        with self.client.session(GARMENT, model="draping") as session:
             with self.assertRaisesRegex(ValueError, r"shape \(3, 3\)"):
                 next(session.enhance([np.zeros((3, 3))]))
             with self.assertRaises(pleat.PleatError):
@@ -96,7 +104,7 @@ class Package(unittest.TestCase):
         self.assertEqual(caught.exception.code, "UNAVAILABLE")
 
     def test_scenes_give_results_and_jobs(self):
-        with self.client.run(SOURCE / "deploy/scenes/draping.json", FOLDER.name + "/run", frames=3) as result:
+        with self.client.run(SOURCE / "deploy/scenes/draping.json", FOLDER.name + "/run", model="draping", frames=3) as result:
             self.assertEqual(len(result), 3)
             self.assertEqual(result.enhanced[0].shape, (11393, 3))
             self.assertEqual(result.mesh("coarse").positions.shape, (749, 3))

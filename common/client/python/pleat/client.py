@@ -62,14 +62,14 @@ class Session:
     """A live session. Close it, or use it in a `with`."""
 
     def __init__(self, client: "Client", garment: Mesh, model: str, frame_time_s: float, obstacles: Sequence_[Obstacle],
-                 window: int, rounds: Optional[int]) -> None:
+                 window: int, rounds: Optional[int], detail: str) -> None:
         self._address = client.address
         self._obstacles = list(obstacles)
         self._frame_time_s = frame_time_s
         self._next = 0
         self._requests: "queue.SimpleQueue[Optional[coordinator_pb2.EnhanceRequest]]" = queue.SimpleQueue()
         opening = coordinator_pb2.EnhanceOpen(
-            coarse=_topology(garment), model=model, frame_time_s=frame_time_s, window=window,
+            coarse=_topology(garment), model=model, frame_time_s=frame_time_s, window=window, detail=_detail(detail),
             obstacles=[common_pb2.ObstacleShape(name=o.name, faces=o.faces.ravel(), capsules=o.capsules)
                        for o in self._obstacles])
         if rounds is not None:
@@ -160,10 +160,13 @@ class Client:
         self._stub = coordinator_pb2_grpc.CoordinatorStub(self._channel)
 
     def session(self, garment: Mesh, *, model: str = "", frame_time_s: float = 0.04,
-                obstacles: Sequence_[Obstacle] = (), window: int = 0, rounds: Optional[int] = None) -> Session:
+                obstacles: Sequence_[Obstacle] = (), window: int = 0, rounds: Optional[int] = None,
+                detail: str = "") -> Session:
         """Opens a live session. model: a bundle's name, "" for the coordinator's default. window: frames in flight, 0
-        for 4. rounds: of subdivision from the coarse to the fine mesh, None for the bundle's."""
-        return Session(self, garment, model, frame_time_s, obstacles, window, rounds)
+        for 4. rounds: of subdivision from the coarse to the fine mesh, None for the bundle's. detail: what makes the
+        wrinkles, "network", "fold" (the fold step, which needs no bundle) or "both"; "": a network where a bundle is
+        named, else the fold step."""
+        return Session(self, garment, model, frame_time_s, obstacles, window, rounds, detail)
 
     def run(self, scene: "str | os.PathLike[str]", out: "str | os.PathLike[str] | None" = None, *, model: str = "",
             frames: int = 0) -> Result:
@@ -222,6 +225,14 @@ def connect(address: Optional[str] = None, *, program: Optional[str] = None, tim
         client.close()
         raise PleatError("UNAVAILABLE", f"{client.address}: nobody answers") from None
     return client
+
+
+def _detail(name: str) -> int:
+    known = {"": common_pb2.DETAIL_UNSPECIFIED, "network": common_pb2.DETAIL_NETWORK, "fold": common_pb2.DETAIL_FOLD,
+             "both": common_pb2.DETAIL_BOTH}
+    if name not in known:
+        raise ValueError(f"detail '{name}': there are network, fold and both")
+    return known[name]
 
 
 def _topology(mesh: Mesh) -> common_pb2.Topology:
