@@ -98,8 +98,8 @@ nlohmann::json make_wrinkles(const ReportInput& input) {
 
 /// HDF5 lists stages by name; people read them in the order of the pipeline. Unknown ones come last.
 std::size_t place_in_pipeline(const std::string& stage) {
-  static constexpr std::string_view kPipeline[] = {"simulation", "to_image",   "superres",
-                                                   "to_mesh",    "refinement", "store"};
+  static constexpr std::string_view kPipeline[] = {"simulation", "to_image",   "superres", "to_mesh",
+                                                   "fold",       "refinement", "store"};
   return static_cast<std::size_t>(std::find(std::begin(kPipeline), std::end(kPipeline), stage) - std::begin(kPipeline));
 }
 
