@@ -323,7 +323,7 @@ TEST_F(LoadPairs, StoppingIsHeardWhileImagesAreConverted) {
   const auto stop_after_first = [&](const std::string& line) { stop = stop || line.find("converted") != line.npos; };
   const Error error = error_of([&] { load_pairs(config(), stop_after_first, [&] { return stop.load(); }); });
   EXPECT_EQ(error.code(), ErrorCode::kCancelled);
-  EXPECT_THAT(error.what(), HasSubstr("nothing was trained yet"));
+  EXPECT_THAT(error.what(), HasSubstr("while images were converted"));
   // What was whole by then is used by the next training, and nothing else lies about.
   std::string said;
   load_pairs(config(), [&](const std::string& line) { said += line + "\n"; });
