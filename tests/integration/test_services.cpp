@@ -219,6 +219,7 @@ class Session {
   Session(v1::Coordinator::Stub& stub, const v1::Topology& coarse) : stream_(stub.Enhance(&context_)) {
     v1::EnhanceRequest request;
     *request.mutable_open()->mutable_coarse() = coarse;
+    request.mutable_open()->set_detail(v1::DETAIL_NETWORK);  // as the job that it is compared with
     stream_->Write(request);
     stream_->Read(&response_);
   }
