@@ -101,7 +101,8 @@ bool is_own(const std::filesystem::path& path) {
   const auto lock = hdf5::lock();
   try {
     return File::open(path, false).string_attribute("/", "format").starts_with("pleat.");
-  } catch (const Error&) {
+  } catch (const Error& error) {
+    if (error.code() == ErrorCode::kResourceExhausted) throw;  // it could not be examined
     return false;
   }
 }

@@ -64,7 +64,8 @@ class Rows {
 /// through filters other than those that Pleat and h5py use (shuffle, deflate, Fletcher32).
 std::string why_unreadable(hid_t dataset);
 
-/// Whether `path` is a file of ours (a link is none): HDF5 whose attribute `format` begins with "pleat.".
+/// Whether `path` is a file of ours (a link is none): HDF5 whose attribute `format` begins with "pleat.". Throws
+/// kResourceExhausted if that can't be found out.
 bool is_own(const std::filesystem::path& path);
 
 /// An open file and what is done with it. Not thread-safe without lock().

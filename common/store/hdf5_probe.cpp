@@ -21,7 +21,7 @@
 namespace pleat::hdf5 {
 namespace {
 
-constexpr rlim_t kProcessorSeconds = 10;
+constexpr rlim_t kProcessorSeconds = 4;
 constexpr rlim_t kMemory = rlim_t{2} << 30;
 constexpr hsize_t kMaxRowBytes = hsize_t{256} << 20;
 constexpr int kMaxDepth = 32;

@@ -28,6 +28,9 @@ std::chrono::milliseconds pause_after(std::size_t ends) {
   return std::min(kLongestPause, kFirstPause * (1 << std::min<std::size_t>(ends - 2, 10)));
 }
 
+// A service that ended is back after the pause and its start, which takes half a minute on a busy machine.
+constexpr const char* kGiveUp = "120";
+
 constexpr const char* kDefaultBundle = "draping";
 
 struct Known {
@@ -118,6 +121,7 @@ void Launcher::start_service(std::size_t index) {
   if (service.name == "coordinator") {
     for (std::size_t i = 0; i < index; ++i) add("--" + services_[i].name, services_[i].address);
     add("--data", options_.data.string());
+    add("--give-up-s", kGiveUp);
     if (!options_.metrics_listen.empty()) add("--metrics-listen", options_.metrics_listen);
   }
   const fs::path log = options_.logs / (service.name + ".log");
