@@ -89,7 +89,7 @@ TEST_F(SceneFile, InlinesAnimationsOfObstacles) {
   expect_error(with("body.h5:/limbs/ends"), "has 2 points, the obstacle 4");
   expect_error(with("body.h5:/broken"), "sample 1: vertex 1 is not finite");
   expect_error(with("body.h5:/nothing"), "no such array");
-  expect_error(with("ball.obj"), "animations are read from");
+  expect_error(with("ball.obj"), "are read from");
   with("body.h5");
   scene_["obstacles"][0]["motion"] = json::array({{{"time_s", 1}}});
   expect_error(scene_, "motion and animation");
