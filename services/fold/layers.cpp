@@ -104,13 +104,16 @@ void LayerFinder::meet(std::uint32_t vertex, std::uint32_t own, std::uint32_t fa
   const double plane = normals_[face].dot(point - a);
   const bool below = plane * normals_[own].dot(normals_[face]) > 0;  // the other layer is, of the vertex's own
   Nearest& nearest = nearest_[2 * vertex + (below ? 1 : 0)];
-  if (plane * plane >= nearest.squared_distance) return;
+  if (plane * plane > nearest.squared_distance) return;
   // Beside the face the distance is at least that to the circle about it.
   const double beside = (point - centers_[face]).norm() - radii_[face];
   if (beside > 0 && plane * plane <= kAcross * kAcross * beside * beside) return;
   const Vector3d weights = closest_on_triangle(point, a, b, c);
   const double distance = (point - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
-  if (distance < nearest.squared_distance && plane * plane > kAcross * kAcross * distance) {
+  // Among equally near faces the first: the order in which they come depends on the frame that a stream began with.
+  const bool nearer =
+      distance < nearest.squared_distance || (distance == nearest.squared_distance && face < nearest.face);
+  if (nearer && plane * plane > kAcross * kAcross * distance) {
     nearest = {distance, face, weights};
   }
 }

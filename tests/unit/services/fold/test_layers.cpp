@@ -86,6 +86,25 @@ TEST_F(LayersTest, GoesToThePointThatTheFineVertexStandsBefore) {
   EXPECT_GT(met, fine.size() / 4);
 }
 
+// A stream that begins in the middle, after a kill, has another tree; the answer must be the same to the bit.
+TEST_F(LayersTest, WhatIsFoundDoesNotDependOnEarlierFrames) {
+  const Positions positions = folded(coarse.rest_positions, 0.01f), other = folded(coarse.rest_positions, 0.3f);
+  const auto fine = upsampled(positions);
+  const auto first = finder.find(positions, fine, fine, 0.02f, 3e-3f);
+  const std::vector<LayerContact> expected(first.begin(), first.end());
+  LayerFinder late(coarse, subdivision);
+  Positions turned = other;
+  turned.col(0).swap(turned.col(2));
+  late.find(turned, upsampled(turned), upsampled(turned), 0.02f, 3e-3f);
+  const auto again = late.find(positions, fine, fine, 0.02f, 3e-3f);
+  ASSERT_EQ(again.size(), expected.size());
+  for (std::size_t k = 0; k < expected.size(); ++k) {
+    EXPECT_EQ(again[k].vertex, expected[k].vertex);
+    EXPECT_EQ(again[k].face, expected[k].face);
+    EXPECT_EQ(again[k].weights, expected[k].weights);
+  }
+}
+
 TEST_F(LayersTest, FarLayersDoNotMeetAndThinOnesKeepTheirOwnGap) {
   const Positions far = folded(coarse.rest_positions, 0.05f);
   for (const LayerContact& c : finder.find(far, upsampled(far), upsampled(far), 0.02f, 3e-3f)) {

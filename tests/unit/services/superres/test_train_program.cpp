@@ -112,12 +112,12 @@ TEST_F(TrainProgram, FullDiskKeepsTheLastCheckpoint) {
 }
 
 TEST_F(TrainProgram, TooLittleMemoryMakesPassesSmaller) {
-  // What the program takes by itself is half of 1.5 GB; a step's images in one pass far above.
+  // What the program takes by itself is half of 1.3 GB; a step's images in one pass far above.
   const std::string one_step = "$TRAIN --set epochs=1 --set steps_per_epoch=1 --set batch=1024";
   for (const char* kernels : {"own", "libtorch"}) {
     const std::string output = std::string("little_") + kernels;
     const std::string set = " --set kernels=" + std::string(kernels) + " --set output=" + output;
-    EXPECT_EQ(shell("ulimit -v 1500000; " + one_step + set), 0) << said();
+    EXPECT_EQ(shell("ulimit -v 1300000; " + one_step + set), 0) << said();
     EXPECT_THAT(said(), HasSubstr("out of memory: passes take "));
     EXPECT_EQ(rows(output).size(), 1u);
     fs::remove(root_ / "said.txt");
