@@ -23,8 +23,8 @@ struct TlsOptions {
 };
 
 /// Keeps gRPC up until the process ends; create_channel and Server call it. gRPC 1.51 shuts down with the last object
-/// that used it, which takes up to 10 s, and takes its callback threads down with the last channel that used them, where
-/// one that is made at that moment aborts the process.
+/// that used it, which takes up to 10 s, and takes its callback threads down with the last channel that used them,
+/// where one that is made at that moment aborts the process.
 void keep_grpc();
 
 /// True for `unix:PATH`, `unix-abstract:NAME`, and 127.0.0.0/8, [::1] or localhost with a port.

@@ -29,8 +29,8 @@ std::vector<std::string> split_addresses(const std::string& service, const std::
 struct PipelineSession {
   v1::Topology coarse;
   v1::Detail detail = v1::DETAIL_NETWORK;  ///< checked
-  v1::FoldOpen fold;                   ///< for the fold step; mesh, obstacles, clearance and window go in from here
-  std::size_t fold_turn = 0;           ///< which of several fold services is asked first
+  v1::FoldOpen fold;                       ///< for the fold step; mesh, obstacles, clearance and window go in from here
+  std::size_t fold_turn = 0;               ///< which of several fold services is asked first
   std::shared_ptr<const FoldMemory> fold_memory;  ///< of the frame before first_sequence, where there is one
   v1::ModelDescription model;                     ///< empty without a network
   v1::Representation representation;  ///< of the model, or with another subdivision that was asked for; without a
