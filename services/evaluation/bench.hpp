@@ -43,7 +43,8 @@ Figures bench_superres(const BenchOptions& options);
 /// refine, refine_p95 (ms), what the judge counts before and after, how far vertices move, and with a data set the
 /// displacement PSNR before and after, over the frames of visit_refinement_inputs().
 Figures bench_refinement(const BenchOptions& options);
-/// frames_per_s of a whole job, latency (ms) of a live session with one frame in flight, transport_share of it.
+/// frames_per_s of a whole job, latency (ms) of a live session with one frame in flight, transport_share of it, with
+/// the default bundle; and fold/... of each with the fold step instead.
 Figures bench_pipeline(const BenchOptions& options);
 
 /// The scene asked for, or the one in deploy/scenes with this name.

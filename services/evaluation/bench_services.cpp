@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstdio>
 #include <random>
+#include <span>
 #include <thread>
 
 #include "common/base/scratch_folder.hpp"
@@ -10,6 +11,7 @@
 #include "common/base/statistics.hpp"
 #include "common/client/adapter/adapter.hpp"
 #include "common/client/cpp/client.hpp"
+#include "common/frame/detail.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/status.hpp"
 #include "services/cli/launcher/launcher.hpp"
@@ -71,10 +73,11 @@ std::vector<double> infer(SuperresProcess& service, const std::string& model, st
   return ms;
 }
 
-double frames_per_second(const client::Client& client, const BenchOptions& options) {
+double frames_per_second(const client::Client& client, const BenchOptions& options, v1::Detail detail) {
   v1::CreateJobRequest request;
   *request.mutable_scene() = presentation::read_scene_file(scene_or(options, "draping"));
   request.set_frames(static_cast<std::uint32_t>(options.frames));
+  request.set_detail(detail);
   const v1::Job job = client.create_job(request);
   const client::JobWatcher watcher = client.watch_job(job.id());
   while (true) {
@@ -85,6 +88,43 @@ double frames_per_second(const client::Client& client, const BenchOptions& optio
       throw_internal("job " + job.id() + " " + client::state_name(latest.state()) + ": " + latest.error());
     return latest.summary().wall_s() > 0 ? latest.frames_complete() / latest.summary().wall_s() : 0;
   }
+}
+
+/// What a live session with one frame in flight takes, and what of it is no stage's.
+struct Latency {
+  std::vector<double> ms, transport_share;
+};
+
+Latency live_latency(const client::Client& client, const simulation::Scene& scene,
+                     const simulation::Simulation& simulation, std::span<const client::CoarseFrame> inputs,
+                     v1::Detail detail) {
+  client::EnhanceSession session =
+      client.enhance({.coarse = client::from_topology(simulation.coarse()),
+                      .frame_time_s = scene.frame_time_s,
+                      .obstacles = client::from_shapes(simulation.obstacle_shapes()),
+                      .window = 1,
+                      .subdivision_rounds = static_cast<std::uint32_t>(scene.subdivision_rounds),
+                      .detail = detail});
+  Latency latency;
+  Clock::time_point sent;
+  session.run(
+      inputs.size(),
+      [&](std::uint64_t k) {
+        if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
+        sent = Clock::now();
+        return inputs[k];
+      },
+      [&](const client::EnhancedFrame& frame, const client::CoarseFrame&) {
+        const double ms = std::chrono::duration<double, std::milli>(Clock::now() - sent).count();
+        if (frame.error) throw *frame.error;
+        double stages = 0;
+        for (const client::StageTime& time : frame.stage_times)
+          if (time.stage.find('.') == std::string::npos) stages += time.ms;
+        if (frame.index < kWarmUp) return;
+        latency.ms.push_back(ms);
+        latency.transport_share.push_back(1 - stages / ms);
+      });
+  return latency;
 }
 
 }  // namespace
@@ -136,37 +176,17 @@ Figures bench_pipeline(const BenchOptions& options) {
   launch.logs = options.out / "logs";
   cli::Launcher launcher(launch);
   const client::Client client(launcher.coordinator());
-  const double rate = frames_per_second(client, options);
-
-  client::EnhanceSession session =
-      client.enhance({.coarse = client::from_topology(simulation.coarse()),
-                      .frame_time_s = scene.frame_time_s,
-                      .obstacles = client::from_shapes(simulation.obstacle_shapes()),
-                      .window = 1,
-                      .subdivision_rounds = static_cast<std::uint32_t>(scene.subdivision_rounds)});
-  std::vector<double> latency, share;
-  Clock::time_point sent;
-  session.run(
-      inputs.size(),
-      [&](std::uint64_t k) {
-        if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
-        sent = Clock::now();
-        return inputs[k];
-      },
-      [&](const client::EnhancedFrame& frame, const client::CoarseFrame&) {
-        const double ms = std::chrono::duration<double, std::milli>(Clock::now() - sent).count();
-        if (frame.error) throw *frame.error;
-        double stages = 0;
-        for (const client::StageTime& time : frame.stage_times)
-          if (time.stage.find('.') == std::string::npos) stages += time.ms;
-        if (frame.index < kWarmUp) return;
-        latency.push_back(ms);
-        share.push_back(1 - stages / ms);
-      });
+  Figures figures;
+  for (const v1::Detail detail : {v1::DETAIL_NETWORK, v1::DETAIL_FOLD}) {
+    const std::string prefix = detail == v1::DETAIL_NETWORK ? "" : std::string(name_of(detail)) + "/";
+    const double rate = frames_per_second(client, options, detail);
+    const Latency latency = live_latency(client, scene, simulation, inputs, detail);
+    figures.push_back({prefix + "frames_per_s", {rate, 1, "1/s"}});
+    figures.push_back({prefix + "latency", {median(latency.ms), latency.ms.size(), "ms"}});
+    figures.push_back({prefix + "transport_share", {median(latency.transport_share), latency.ms.size(), "1"}});
+  }
   launcher.stop();
-  return {{"frames_per_s", {rate, 1, "1/s"}},
-          {"latency", {median(latency), latency.size(), "ms"}},
-          {"transport_share", {median(share), share.size(), "1"}}};
+  return figures;
 }
 
 nlohmann::json to_json(const std::string& name, const Figures& figures) {
