@@ -7,6 +7,8 @@
 #include <new>
 #include <vector>
 
+#include "common/base/bounded_text.hpp"
+
 namespace pleat {
 namespace {
 
@@ -55,7 +57,7 @@ std::string suggestion(const CLI::App& root) {
 }  // namespace
 
 void print_error(const std::string& name, const std::string& message) {
-  std::string line = message;
+  std::string line = bounded_text(message);
   std::replace(line.begin(), line.end(), '\n', ' ');
   std::fprintf(stderr, "%s: %s\n", name.c_str(), line.c_str());
 }

@@ -4,6 +4,9 @@
 #include <exception>
 #include <new>
 #include <system_error>
+#include <utility>
+
+#include "common/base/bounded_text.hpp"
 
 namespace pleat::rpc {
 namespace {
@@ -37,12 +40,8 @@ ErrorCode to_error_code(grpc::StatusCode code) {
   return ErrorCode::kInternal;
 }
 
-std::string bounded(std::string text) {
-  if (text.size() <= kMaxMessageCharacters) return text;
-  constexpr std::size_t kEnd = 200;
-  const std::string omission = " ... (" + std::to_string(text.size()) + " characters) ... ";
-  return text.substr(0, kMaxMessageCharacters - kEnd - omission.size()) + omission + text.substr(text.size() - kEnd);
-}
+static_assert(kMaxMessageCharacters == kMaxTextCharacters);
+std::string bounded(std::string text) { return bounded_text(std::move(text)); }
 
 bool may_pass(ErrorCode code) {
   return code == ErrorCode::kUnavailable || code == ErrorCode::kDeadlineExceeded || code == ErrorCode::kInternal;

@@ -27,6 +27,13 @@ std::string answer(std::vector<const char*> words, int expected) {
   return err;
 }
 
+TEST(Program, EchoedInputIsCut) {
+  const std::string key(30000, 'k');
+  const std::string err = answer({key.c_str()}, kExitWrongInput);
+  EXPECT_LT(err.size(), 1100u);
+  EXPECT_THAT(err, testing::HasSubstr("characters)"));
+}
+
 TEST(Program, MistypedNamesAreGuessed) {
   EXPECT_THAT(answer({"datset"}, kExitWrongInput), testing::HasSubstr("did you mean dataset?"));
   EXPECT_THAT(answer({"exprot"}, kExitWrongInput), testing::HasSubstr("did you mean export?"));
