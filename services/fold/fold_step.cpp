@@ -33,7 +33,7 @@ constexpr int kLargeRounds = 8;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 // What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
 // less, what is around.
-constexpr float kTangleFrequency = 40;
+constexpr float kTangleFrequency = 60;
 constexpr int kTangleRings = 3;
 constexpr float kDetailDamping = 10;  // 1/s, of motion beside the coarse cloth's
 constexpr std::size_t kMostTangles = 20'000;
