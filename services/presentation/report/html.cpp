@@ -109,6 +109,8 @@ Payload make_payload(const ReportInput& input, const json& report, std::size_t s
   }
   meta["counts"] = json::array();
   for (const ReportCount& count : input.counts) {
+    // The page marks and sums what is wrong with frames; these only say how they were made.
+    if (count.name.starts_with("fold_")) continue;
     meta["counts"].push_back({{"name", count.name}, {"values", count.values}});
   }
   add_words(payload, "coarse_faces", words_of(input.coarse_topology.faces));

@@ -142,7 +142,7 @@ ReportInput make_input(bool reference) {
                                return frame;
                              }});
   input.stages = {{"simulation", {1, 2, 3, 10}}, {"superres", {5, 5, 5, 5}}};
-  input.counts = {{"penetrations", {0, 2, 0, 1}}};
+  input.counts = {{"penetrations", {0, 2, 0, 1}}, {"fold_steps", {20, 20, 20, 20}}};
   input.summary.title = "A </script> <b>cloth</b>";
   input.summary.model = "default";
   input.summary.wall_s = 2;
