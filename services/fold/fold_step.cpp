@@ -13,6 +13,7 @@
 #include "common/mesh/connectivity.hpp"
 #include "services/fold/constraints.hpp"
 #include "services/fold/layers.hpp"
+#include "services/fold/tracking.hpp"
 #include "services/refinement/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
@@ -24,19 +25,15 @@ using Clock = std::chrono::steady_clock;
 // One iteration a step leaves bending softer than it is; by this factor the fine tablecloth wrinkles as one that is
 // simulated in steps of 10 ms (bench_fold_step).
 constexpr float kBending = 3;
-constexpr int kMostSteps = 512;
-constexpr int kPullEvery = 4;  // steps
-// The coarse cloth's motion at large, averages over many rings, is followed with this frequency (rad/s), critically
-// damped: what acts on the cloth there (weight, wind, whatever moved it) is the coarse cloth's affair.
-constexpr float kLargeFrequency = 8;
-constexpr int kLargeRounds = 8;
-constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
+constexpr double kMostSteps = 1000;  // in a frame: it must end
+constexpr int kPullEvery = 4;        // steps
 // What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
 // less, what is around.
 constexpr float kTangleFrequency = 60;
 constexpr int kTangleRings = 3;
 constexpr float kDetailDamping = 10;  // 1/s, of motion beside the coarse cloth's
 constexpr std::size_t kMostTangles = 20'000;
+constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
 constexpr double kObstacleReach = 0.02;  // m, within a frame, beside the coarse cloth's motion
 constexpr float kLayerReach = 0.02f;     // m
@@ -52,6 +49,7 @@ void check_options(const FoldOptions& o, const Topology& coarse) {
   check(o.frame_time_s > 0 && o.frame_time_s <= 10, "frame time must be above 0 and at most 10 s");
   check(o.frequency >= 0 && o.frequency <= 50, "frequency must be 0 to 50 rad/s");
   check(o.step_s >= 1e-5 && o.step_s <= 0.1, "step must be 0.01 to 100 ms");
+  check(o.frame_time_s <= kMostSteps * o.step_s, "frame time: more than 1000 steps a frame");
   check(o.gravity.allFinite() && o.gravity.norm() <= 1000, "gravity must be finite, at most 1000 m/s2");
   check(o.air_density >= 0 && o.air_density <= 100 && o.air_velocity.allFinite(),
         "the air's density must be 0 to 100 kg/m3, its velocity finite");
@@ -81,6 +79,8 @@ struct FoldStep::Work {
   ObstacleField obstacles;
   LayerFinder layers;
   SelfIntersectionFinder tangles;
+  std::vector<float> masses;  // kg per fine vertex
+  Tracking tracking;
 
   // A level's springs act on the first vertices of the fine mesh, and finer ones follow along the halved edges.
   struct Level {
@@ -95,17 +95,8 @@ struct FoldStep::Work {
   std::vector<char> fixed, fixed_before;
   std::vector<std::uint32_t> pins;
 
-  // Hats of coarse vertices over fine ones: corners, weights, and weights times mass over the hat's mass.
-  struct Corners {
-    std::array<std::uint32_t, 3> coarse;
-    std::array<float, 3> weight, share;
-  };
-  std::vector<Corners> corners;
-  std::vector<std::uint32_t> ring_begin, ring;  // neighbours of coarse vertices
-
   // One more than there are vertices, as scratch place of packs.
   std::vector<Float4> x, v, before, from, way, given, normals, moved;
-  std::vector<Float4> averages, large, smoothed;  // (V_coarse)
   std::span<const LayerContact> layer_contacts;
   std::vector<FacePair> pairs;
   std::vector<float> tangled, wider;
@@ -118,12 +109,14 @@ struct FoldStep::Work {
         subdivision(s),
         count(static_cast<std::uint32_t>(s.fine.vertex_count())),
         coarse_count(static_cast<std::uint32_t>(c.vertex_count())),
-        steps(static_cast<int>(std::clamp(std::ceil(o.frame_time_s / o.step_s - 1e-9), 1.0, double{kMostSteps}))),
+        steps(static_cast<int>(std::max(std::ceil(o.frame_time_s / o.step_s - 1e-9), 1.0))),
         step_s(static_cast<float>(o.frame_time_s / steps)),
         frame_s(static_cast<float>(o.frame_time_s)),
         obstacles(shapes),
         layers(c, s),
-        tangles(s.fine.faces, s.fine.vertex_count(), c.faces) {
+        tangles(s.fine.faces, s.fine.vertex_count(), c.faces),
+        masses(lumped_masses(s.fine, o.material.density)),
+        tracking(c, s, masses) {
     for (std::size_t round = 0; round + 1 < s.level_sizes.size(); ++round) {
       const Topology mesh = round == 0 ? c : subdivide(c, static_cast<int>(round)).fine;
       Level& level = levels.emplace_back();
@@ -135,42 +128,11 @@ struct FoldStep::Work {
     std::vector<Hinge> bending = edge_hinges(s.fine, o.material);
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
     hinges = HingePacks(std::move(bending), count);
-    make_hats(lumped_masses(s.fine, o.material.density));
+    for (const float mass : masses) inverse_masses.push_back(1 / mass);
     tangled.assign(count, 0);
     fixed.assign(count, 0);
     fixed_before.assign(count, 1);  // so that the first frame sets the step
     for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
-    for (auto* buffer : {&averages, &large, &smoothed}) buffer->assign(coarse_count, Float4{});
-  }
-
-  void make_hats(const std::vector<float>& masses) {
-    std::vector<float> hat(coarse_count, 0);
-    corners.resize(count);
-    for (std::uint32_t i = 0; i < count; ++i) {
-      inverse_masses.push_back(1 / masses[i]);
-      for (std::size_t k = 0; k < 3; ++k) {
-        const auto corner = static_cast<Eigen::Index>(k);
-        corners[i].coarse[k] = coarse.faces(subdivision.parent_face[i], corner);
-        corners[i].weight[k] = subdivision.barycentric(i, corner);
-        hat[corners[i].coarse[k]] += masses[i] * corners[i].weight[k];
-      }
-    }
-    for (std::uint32_t i = 0; i < count; ++i) {
-      for (std::size_t k = 0; k < 3; ++k) {
-        const float mass = hat[corners[i].coarse[k]];
-        corners[i].share[k] = mass > 0 ? masses[i] * corners[i].weight[k] / mass : 0;
-      }
-    }
-    std::vector<std::vector<std::uint32_t>> neighbours(coarse_count);
-    for (const Edge& edge : build_connectivity(coarse.vertex_count(), coarse.faces).edges) {
-      neighbours[edge.v0].push_back(edge.v1);
-      neighbours[edge.v1].push_back(edge.v0);
-    }
-    ring_begin.push_back(0);
-    for (const auto& list : neighbours) {
-      ring.insert(ring.end(), list.begin(), list.end());
-      ring_begin.push_back(static_cast<std::uint32_t>(ring.size()));
-    }
   }
 
   void check(const FoldFrame& frame, const FoldState& state) const {
@@ -200,8 +162,9 @@ struct FoldStep::Work {
     pins.clear();
     for (std::uint32_t i = 0; i < count; ++i) {
       bool inside = true;
-      for (std::size_t k = 0; k < 3; ++k) {
-        inside = inside && (corners[i].weight[k] == 0 || is_held[corners[i].coarse[k]] != 0);
+      for (int k = 0; k < 3; ++k) {
+        inside =
+            inside && (subdivision.barycentric(i, k) == 0 || is_held[coarse.faces(subdivision.parent_face[i], k)] != 0);
       }
       fixed[i] = inside ? 1 : 0;
       if (inside) pins.push_back(i);
@@ -237,41 +200,6 @@ struct FoldStep::Work {
       v[i] = way[i] / frame_s;
     }
     return true;
-  }
-
-  // Averages of a field over the hats.
-  template <typename Field>
-  void average(const Field& field, std::vector<Float4>& out) const {
-    std::fill(out.begin(), out.end(), Float4{});
-    for (std::uint32_t i = 0; i < count; ++i) {
-      const Corners& c = corners[i];
-      const Float4 value = field(i);
-      for (std::size_t k = 0; k < 3; ++k) out[c.coarse[k]] += c.share[k] * value;
-    }
-  }
-  Float4 spread(const std::vector<Float4>& values, std::uint32_t i) const {
-    const Corners& c = corners[i];
-    return c.weight[0] * values[c.coarse[0]] + c.weight[1] * values[c.coarse[1]] + c.weight[2] * values[c.coarse[2]];
-  }
-
-  // Accelerations that draw the averages to the coarse cloth's, into `averages`.
-  void pull(float time) {
-    const float frequency = static_cast<float>(options.frequency), inverse = 1 / frame_s;
-    average([&](std::uint32_t i) { return from[i] + time * way[i] - x[i]; }, averages);
-    average([&](std::uint32_t i) { return inverse * way[i] - v[i]; }, large);
-    for (std::uint32_t c = 0; c < coarse_count; ++c) {
-      large[c] = kLargeFrequency * kLargeFrequency * averages[c] + 2 * kLargeFrequency * large[c];
-      averages[c] *= frequency * frequency;
-    }
-    for (int round = 0; round < kLargeRounds; ++round) {
-      for (std::uint32_t c = 0; c < coarse_count; ++c) {
-        Float4 sum = large[c];
-        for (std::uint32_t r = ring_begin[c]; r < ring_begin[c + 1]; ++r) sum += large[ring[r]];
-        smoothed[c] = sum / static_cast<float>(1 + ring_begin[c + 1] - ring_begin[c]);
-      }
-      std::swap(large, smoothed);
-    }
-    for (std::uint32_t c = 0; c < coarse_count; ++c) averages[c] += large[c];
   }
 
   // How far each vertex is to go back to the coarse cloth: 1 where the state passes through itself, less around.
@@ -392,7 +320,13 @@ struct FoldStep::Work {
     const float middle = (static_cast<float>(index) + 0.5f) / static_cast<float>(steps);
     const float end = (static_cast<float>(index) + 1) / static_cast<float>(steps);
     if (index % kPullEvery == 0) {
-      pull(middle + static_cast<float>(kPullEvery - 1) / (2 * static_cast<float>(steps)));
+      const float time = middle + static_cast<float>(kPullEvery - 1) / (2 * static_cast<float>(steps));
+      const float inverse = 1 / frame_s;
+      tracking.update(
+          [&](std::uint32_t i) {
+            return Tracking::Lack{from[i] + time * way[i] - x[i], inverse * way[i] - v[i]};
+          },
+          static_cast<float>(options.frequency));
     }
     // The velocity with which a cloth without a state begins has met gravity and air in this frame already.
     const Float4 gravity = restarted ? Float4{} : to_float4(options.gravity);
@@ -400,7 +334,7 @@ struct FoldStep::Work {
     const Float4 air = to_float4(options.air_velocity);
     for (std::uint32_t i = 0; i < count; ++i) {
       before[i] = x[i];
-      Float4 acceleration = gravity + spread(averages, i);
+      Float4 acceleration = gravity + tracking.at(i);
       if (guided) {
         acceleration += kStartFrequency * kStartFrequency * (given[i] - (1 - middle) * way[i] - x[i]);
       }

@@ -17,8 +17,6 @@
 namespace pleat::fold {
 namespace {
 
-constexpr double kMostSteps = 1000;  // in a frame: it must end
-
 std::uint32_t count_of(std::size_t value) {
   return static_cast<std::uint32_t>(std::min<std::size_t>(value, std::numeric_limits<std::uint32_t>::max()));
 }
@@ -44,9 +42,6 @@ FoldOptions options_from(const v1::FoldOpen& open) {
   if (settings.has_frequency()) options.frequency = settings.frequency();
   if (settings.has_step_s()) options.step_s = settings.step_s();
   if (settings.has_restart_m()) options.restart_m = settings.restart_m();
-  if (options.frame_time_s > kMostSteps * options.step_s) {
-    throw_invalid_argument("open.frame_time_s: more than 1000 steps a frame");
-  }
   return options;
 }
 

@@ -27,7 +27,7 @@ std::vector<std::uint32_t> held_at(const pleat::simulation::Scene& scene, double
 }
 
 void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& options, int threads,
-         bool refined_state, const std::filesystem::path& path) {
+         const std::filesystem::path& path) {
   pleat::simulation::Simulation simulation(scene, pleat::simulation::Mode::kCoarse);
   const pleat::Subdivision subdivision = pleat::subdivide(simulation.coarse(), scene.subdivision_rounds);
   const auto shapes = simulation.obstacle_shapes();
@@ -60,7 +60,6 @@ void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& 
     before.push_back(static_cast<double>(refined.report.pairs_before + refined.report.penetrations_before));
     unclean += refined.report.clean() ? 0 : 1;
     restarts += report.restarted ? 1 : 0;
-    if (refined_state) state.positions = refined.positions;
     pleat::ResultFrame row;
     row.time_s = frame.coarse.time_s;
     row.coarse = frame.coarse.positions;
@@ -87,14 +86,12 @@ int main(int argc, char** argv) {
   pleat::fold::FoldOptions options;
   int frames = 61, threads = 0;
   double step_ms = 1e3 * options.step_s;
-  bool refined_state = false;
   app.add_option("scene", scene_file, "scene file")->capture_default_str();
   app.add_option("--out", out, "the result to write")->required();
   app.add_option("--frames", frames, "frames")->capture_default_str()->check(CLI::PositiveNumber);
   app.add_option("--frequency", options.frequency, "of averages, rad/s")->capture_default_str();
   app.add_option("--step-ms", step_ms, "of the cloth, at most")->capture_default_str();
   app.add_option("--threads", threads, "of simulation and refinement")->capture_default_str();
-  app.add_flag("--refined-state", refined_state, "go on from the refined frame");
   CLI11_PARSE(app, argc, argv);
   try {
     pleat::simulation::Scene scene =
@@ -106,7 +103,7 @@ int main(int argc, char** argv) {
     options.frame_time_s = scene.frame_time_s;
     options.gravity = scene.gravity;
     std::filesystem::create_directories(std::filesystem::absolute(out).parent_path());
-    run(scene, options, threads, refined_state, out);
+    run(scene, options, threads, out);
     return 0;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "bench_fold_step: %s\n", error.what());

@@ -114,7 +114,7 @@ TEST_F(FoldStepTest, StateThatDoesNotFitIsNotContinued) {
 }
 
 TEST_F(FoldStepTest, FramesOfAnyLengthAreMadeOfStepsThatAreShortEnough) {
-  for (const double frame_time_s : {0.001, 1.0 / 60, 0.04, 0.1}) {
+  for (const double frame_time_s : {0.001, 1.0 / 60, 0.04, 0.1, 1.5}) {
     options.frame_time_s = frame_time_s;
     FoldStep step = make();
     FoldState state;

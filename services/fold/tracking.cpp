@@ -1,0 +1,70 @@
+#include "services/fold/tracking.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "common/mesh/connectivity.hpp"
+
+namespace pleat::fold {
+namespace {
+
+// The coarse cloth's motion at large, averages over many rings, is followed with this frequency (rad/s), critically
+// damped: what acts on the cloth there (weight, wind, whatever moved it) is the coarse cloth's affair.
+constexpr float kLargeFrequency = 8;
+constexpr int kLargeRounds = 8;
+
+}  // namespace
+
+Tracking::Tracking(const Topology& coarse, const Subdivision& subdivision, std::span<const float> masses)
+    : corners_(masses.size()) {
+  const auto coarse_count = static_cast<std::size_t>(coarse.vertex_count());
+  std::vector<float> hat(coarse_count, 0);
+  for (std::uint32_t i = 0; i < corners_.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto corner = static_cast<Eigen::Index>(k);
+      corners_[i].coarse[k] = coarse.faces(subdivision.parent_face[i], corner);
+      corners_[i].weight[k] = subdivision.barycentric(i, corner);
+      hat[corners_[i].coarse[k]] += masses[i] * corners_[i].weight[k];
+    }
+  }
+  for (std::uint32_t i = 0; i < corners_.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      const float mass = hat[corners_[i].coarse[k]];
+      corners_[i].share[k] = mass > 0 ? masses[i] * corners_[i].weight[k] / mass : 0;
+    }
+  }
+  std::vector<std::vector<std::uint32_t>> neighbours(coarse_count);
+  for (const Edge& edge : build_connectivity(coarse.vertex_count(), coarse.faces).edges) {
+    neighbours[edge.v0].push_back(edge.v1);
+    neighbours[edge.v1].push_back(edge.v0);
+  }
+  ring_begin_.push_back(0);
+  for (const auto& list : neighbours) {
+    ring_.insert(ring_.end(), list.begin(), list.end());
+    ring_begin_.push_back(static_cast<std::uint32_t>(ring_.size()));
+  }
+  for (auto* buffer : {&averages_, &large_, &smoothed_}) buffer->assign(coarse_count, Float4{});
+}
+
+void Tracking::begin() {
+  std::fill(averages_.begin(), averages_.end(), Float4{});
+  std::fill(large_.begin(), large_.end(), Float4{});
+}
+
+void Tracking::finish(float frequency) {
+  for (std::size_t c = 0; c < averages_.size(); ++c) {
+    large_[c] = kLargeFrequency * kLargeFrequency * averages_[c] + 2 * kLargeFrequency * large_[c];
+    averages_[c] *= frequency * frequency;
+  }
+  for (int round = 0; round < kLargeRounds; ++round) {
+    for (std::size_t c = 0; c < large_.size(); ++c) {
+      Float4 sum = large_[c];
+      for (std::uint32_t r = ring_begin_[c]; r < ring_begin_[c + 1]; ++r) sum += large_[ring_[r]];
+      smoothed_[c] = sum / static_cast<float>(1 + ring_begin_[c + 1] - ring_begin_[c]);
+    }
+    std::swap(large_, smoothed_);
+  }
+  for (std::size_t c = 0; c < averages_.size(); ++c) averages_[c] += large_[c];
+}
+
+}  // namespace pleat::fold
