@@ -205,9 +205,10 @@ struct FoldStep::Work {
   // How far each vertex is to go back to the coarse cloth: 1 where the state passes through itself, less around.
   void find_tangles(const Positions& positions) {
     tangles.update(positions);
-    tangles.find(positions, kMostTangles, pairs);
-    std::fill(tangled.begin(), tangled.end(), 0.0f);
-    if (pairs.empty()) return;
+    // Which ones of too many are found is not specified, and the frame must not depend on it.
+    const bool all = tangles.find(positions, kMostTangles, pairs);
+    std::fill(tangled.begin(), tangled.end(), all ? 0.0f : 1.0f);
+    if (pairs.empty() || !all) return;
     const Faces& faces = subdivision.fine.faces;
     for (const FacePair& pair : pairs) {
       for (const std::uint32_t face : {pair[0], pair[1]}) {
