@@ -83,6 +83,8 @@ Obstacle obstacle_from(const v1::Obstacle& message, double frame_time_s, const s
     }
     case v1::Obstacle::kMeshFile:
       throw_invalid_argument(field + ".mesh_file: on the wire the mesh itself is needed, not its file");
+    case v1::Obstacle::kBody:
+      throw_invalid_argument(field + ".body: on the wire its mesh and animation are needed, not their files");
     case v1::Obstacle::SHAPE_NOT_SET:
       throw_invalid_argument(field + ": has no shape");
   }
@@ -144,6 +146,9 @@ Scene scene_from_message(const v1::Scene& m) {
   scene.name = m.name();
   if (m.has_garment_file()) {
     throw_invalid_argument("scene.garment_file: on the wire the mesh itself is needed, not its file");
+  }
+  if (!m.further_garment_files().empty()) {
+    throw_invalid_argument("scene.further_garment_files: on the wire all garments are one mesh");
   }
   if (!m.has_garment_mesh()) throw_invalid_argument("scene.garment_mesh is missing");
   scene.garment = from_message(m.garment_mesh(), "scene.garment_mesh");
