@@ -10,7 +10,9 @@ std::string scene_json(v1::Scene scene) {
   scene.clear_garment();
   for (v1::Obstacle& obstacle : *scene.mutable_obstacles()) {
     if (obstacle.has_mesh()) obstacle.clear_shape();
-    if (obstacle.has_animation()) obstacle.mutable_animation()->clear_positions();
+    if (!obstacle.has_animation()) continue;
+    obstacle.mutable_animation()->clear_positions();
+    obstacle.mutable_animation()->clear_samples();
   }
   google::protobuf::util::JsonPrintOptions options;
   options.preserve_proto_field_names = true;

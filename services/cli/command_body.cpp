@@ -14,8 +14,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int kMaxEaseFrames = 10'000;
-constexpr int kMaxSmoothing = 100;
 constexpr int kMaxFrames = 1'000'000;
 constexpr std::size_t kMaxFastPlaces = 5;
 
@@ -117,12 +115,10 @@ std::vector<Command> add_body(CLI::App& root) {
       ->capture_default_str()
       ->check(positive_number());
   app->add_option("--start", motion.start_s, "seconds of the motion to leave out")->check(CLI::NonNegativeNumber);
-  app->add_option("--ease", motion.ease_frames, "frames from the rest pose into the motion")
-      ->capture_default_str()
-      ->check(CLI::Range(0, kMaxEaseFrames));
-  app->add_option("--smooth", motion.smoothing, "rounds of smoothing")
-      ->capture_default_str()
-      ->check(CLI::Range(0, kMaxSmoothing));
+  app->add_option("--end", motion.end_s, "seconds of the motion after which the rest is left out (default: none)")
+      ->check(positive_number());
+  app->add_option("--ease", motion.ease_frames, "frames from the rest pose into the motion")->capture_default_str();
+  app->add_option("--smooth", motion.smoothing, "rounds of smoothing")->capture_default_str();
   app->add_flag("--mirror", motion.mirrored, "left and right exchanged");
   app->add_flag("--keep-place", options->keep_place,
                 "the motion's own place and heading (default: it starts where the body stands at rest)");

@@ -140,7 +140,7 @@ class PendingCheckpoints {
 
 }  // namespace
 
-void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
+void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations) {
   const v1::Scene& scene = request.scene();
   const fs::path folder = table_.folder(job.id);
   const fs::path result = folder / "result.h5";
@@ -168,6 +168,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
 
   SimulationSource::Options simulation{.addresses = addresses_.simulation,
                                        .scene = scene,
+                                       .animations = animations,
                                        .window = settings_.window,
                                        .checkpoint_interval = settings_.checkpoint_interval,
                                        .checkpoint = {},
@@ -301,7 +302,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request) {
   }
 }
 
-void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request) {
+void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations) {
   const fs::path folder = table_.folder(job.id);
   const fs::path result = folder / "result.h5";
   const fs::path path = folder / "reference.h5";
@@ -314,6 +315,7 @@ void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& r
 
     SimulationSource::Options simulation{.addresses = addresses_.simulation,
                                          .scene = request.scene(),
+                                         .animations = animations,
                                          .fine = v1::SimulateOpen::FINE_TRACKED,
                                          .window = settings_.window,
                                          .checkpoint_interval = settings_.checkpoint_interval,

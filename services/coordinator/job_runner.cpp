@@ -7,8 +7,8 @@
 #include "common/base/whole_file.hpp"
 #include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "common/store/result.hpp"
-#include "services/coordinator/simulation_source.hpp"
 
 namespace pleat::coordinator {
 namespace {
@@ -17,6 +17,10 @@ namespace fs = std::filesystem;
 
 constexpr char kCheckpointMagic[8] = {'P', 'L', 'E', 'A', 'T', 'C', 'P', '2'};
 constexpr auto kCancelWait = std::chrono::seconds(5);
+
+Animations share_animations(v1::Scene& scene) {
+  return std::make_shared<const std::vector<v1::AnimationPart>>(take_animations(scene));
+}
 
 }  // namespace
 
@@ -76,18 +80,17 @@ JobRunner::~JobRunner() {
   for (std::thread& worker : workers_) worker.join();
 }
 
-JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
+JobRecord JobRunner::create(v1::CreateJobRequest request) {
   if (stopping()) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
   if (!request.has_scene()) throw_invalid_argument("scene: is missing");
-  v1::CreateJobRequest complete = request;
-  v1::Scene& scene = *complete.mutable_scene();
+  v1::Scene& scene = *request.mutable_scene();
   if (!scene.name().empty() && !is_valid_job_id(scene.name())) {
     throw_invalid_argument("scene.name '" + scene.name() + "': at most 64 letters, digits, '-' or '_'");
   }
   if (request.frames() != 0) scene.set_frames(request.frames());
   if (scene.frames() == 0) throw_invalid_argument("scene.frames: is 0");
   // The job stays what it is, whatever the default becomes.
-  complete.set_detail(checked_detail(request.detail(), request.model(), "detail"));
+  request.set_detail(checked_detail(request.detail(), request.model(), "detail"));
   if (scene.frames() > settings_.max_frames) {
     throw Error(ErrorCode::kResourceExhausted, "scene.frames: " + std::to_string(scene.frames()) + ", the limit is " +
                                                    std::to_string(settings_.max_frames));
@@ -97,15 +100,20 @@ JobRecord JobRunner::create(const v1::CreateJobRequest& request) {
                  .frames = scene.frames(),
                  .reference = request.reference(),
                  .model = request.model(),
-                 .request = complete.SerializeAsString()};
+                 .request = request.SerializeAsString()};
   // A request that is sent again asks the services for nothing.
   const bool known = !job.id.empty() && table_.contains(job.id);
   if (!known) {
     require_room();
     const auto never = [] { return false; };
     const v1::ModelDescription model =
-        uses_network(complete.detail()) ? describe_model(addresses_, link_, request.model(), never) : without_model();
-    SimulationSource source({.addresses = addresses_.simulation, .scene = scene, .checkpoint = {}, .link = link_});
+        uses_network(request.detail()) ? describe_model(addresses_, link_, request.model(), never) : without_model();
+    const auto animations = share_animations(scene);
+    SimulationSource source({.addresses = addresses_.simulation,
+                             .scene = scene,
+                             .animations = animations,
+                             .checkpoint = {},
+                             .link = link_});
     const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
     v1::Representation representation = representation_of(model);
     if (scene.has_subdivision_rounds()) representation.set_subdivision_rounds(scene.subdivision_rounds());
@@ -206,12 +214,13 @@ void JobRunner::execute(ActiveJob& job) {
     if (!request.ParseFromString(table_.request(job.id))) {
       throw_data_loss((table_.folder(job.id) / "request.pb").string() + ": is corrupt");
     }
+    const Animations animations = share_animations(*request.mutable_scene());
     const fs::path result = table_.folder(job.id) / "result.h5";
     table_.update(job.id, [](JobRecord& record) { record.state = JobState::kRunning; });
-    if (!fs::exists(result)) enhance(job, request);
+    if (!fs::exists(result)) enhance(job, request, animations);
     if (request.reference() && !ResultReader(result, FileOrigin::kOwn).info().has_fine) {
       table_.update(job.id, [](JobRecord& record) { record.state = JobState::kReference; });
-      simulate_reference(job, request);
+      simulate_reference(job, request, animations);
     }
     table_.update(job.id, [](JobRecord& record) {
       record.state = JobState::kDone;

@@ -16,6 +16,7 @@
 #include "services/coordinator/active_job.hpp"
 #include "services/coordinator/job_table.hpp"
 #include "services/coordinator/pipeline.hpp"
+#include "services/coordinator/simulation_source.hpp"
 
 namespace pleat::coordinator {
 
@@ -39,7 +40,7 @@ class JobRunner {
   /// Checks the request (the scene by opening it in the simulation service, the bundle by asking for it) and queues it.
   /// Errors: kInvalidArgument and kNotFound from the services, kFailedPrecondition (bundle of another mesh),
   /// kUnavailable naming the service's address, kResourceExhausted (a limit of the settings).
-  JobRecord create(const v1::CreateJobRequest& request);
+  JobRecord create(v1::CreateJobRequest request);
 
   /// Ends the job, if it has not ended, and waits for that (at most 5 s).
   JobRecord cancel(const std::string& id);
@@ -56,8 +57,8 @@ class JobRunner {
   void show_queue() const;
   void work();
   void execute(ActiveJob& job);
-  void enhance(ActiveJob& job, const v1::CreateJobRequest& request);
-  void simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request);
+  void enhance(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations);
+  void simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations);
 
   JobTable& table_;
   const ServiceAddresses addresses_;

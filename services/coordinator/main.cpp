@@ -37,6 +37,7 @@ int run(int argc, char** argv) {
       .add("max-sessions-each", coordinator.live.max_sessions_each, "of one client; 0: as many as all together")
       .add("max-watchers", coordinator.max_watchers, "calls of WatchJob at the same time")
       .add("max-watchers-each", coordinator.max_watchers_each, "of one client; 0: as many as all together")
+      .add("max-uploads", coordinator.max_uploads, "jobs whose animations are on their way in parts at the same time")
       .add("max-vertices", coordinator.jobs.max_vertices, "largest fine mesh of a session or job")
       .add("open-timeout-s", coordinator.live.open_timeout_s, "a session that sends no `open` this long is ended")
       .add("idle-timeout-s", coordinator.live.idle_timeout_s, "a session that sends no frame this long is ended")

@@ -9,7 +9,9 @@
 #include <utility>
 
 #include "common/rpc/caller.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "services/coordinator/result_events.hpp"
+#include "services/coordinator/silence_watch.hpp"
 
 namespace pleat::coordinator {
 namespace {
@@ -76,7 +78,9 @@ CoordinatorService::CoordinatorService(const CoordinatorOptions& options, teleme
       live_(addresses_of(options), link_of(options, metrics), checked(options.live)),
       metrics_(metrics),
       reader_timeout_(milliseconds_of(options.live.reader_timeout_s, "reader-timeout-s")),
-      watcher_quota_("watchers of jobs", options.max_watchers, options.max_watchers_each) {
+      watcher_quota_("watchers of jobs", options.max_watchers, options.max_watchers_each),
+      idle_timeout_(milliseconds_of(options.live.idle_timeout_s, "idle-timeout-s")),
+      upload_quota_("scenes on their way in parts", options.max_uploads, 0) {
   for (const std::string& warning : table_.warnings()) spdlog::warn("{}", warning);
 }
 
@@ -88,6 +92,45 @@ grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v
                  record.frames);
     *job = to_job(record);
   });
+}
+
+grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
+                                                  grpc::ServerReader<v1::CreateJobPart>* reader, v1::Job* job) {
+  return rpc::guard([&] {
+    const std::string client = rpc::caller(*context);
+    {
+      const std::lock_guard lock(uploads_mutex_);
+      upload_quota_.enter(client);
+    }
+    const std::shared_ptr<void> leave(nullptr, [&](void*) {
+      const std::lock_guard lock(uploads_mutex_);
+      upload_quota_.leave(client);
+    });
+    const JobRecord record = receive_job(*context, *reader);
+    spdlog::info("job {} of {} accepted in parts: scene '{}', {} frames", record.id, client, record.scene_name,
+                 record.frames);
+    *job = to_job(record);
+  });
+}
+
+JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader) {
+  SilenceWatch silence(context, idle_timeout_);
+  const auto read = [&](v1::CreateJobPart& part) {
+    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    return silence.during([&] { return reader.Read(&part); });
+  };
+  v1::CreateJobPart part;
+  if (!read(part) || !part.has_request()) throw_invalid_argument("the first part of a job must be its request");
+  v1::CreateJobRequest request = std::move(*part.mutable_request());
+  AnimationAssembly assembly(*request.mutable_scene(), "scene");
+  while (!assembly.complete()) {
+    if (!read(part)) throw_invalid_argument("the parts ended too early: " + assembly.describe_missing());
+    if (!part.has_animation()) throw_invalid_argument("after the request only parts of animations may follow");
+    assembly.add(part.animation());
+  }
+  part.Clear();
+  if (read(part)) throw_invalid_argument("no more parts than the scene announces may follow");
+  return runner_.create(std::move(request));
 }
 
 grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v1::CancelJobRequest* request,

@@ -32,6 +32,7 @@ struct CoordinatorOptions {
   double answer_timeout_s = 60;       ///< longest wait for one frame, or for a session to open
   std::size_t max_watchers = 256;     ///< calls of WatchJob at the same time
   std::size_t max_watchers_each = 0;  ///< of one client (rpc::caller); 0: as many as all together
+  std::size_t max_uploads = 4;        ///< calls of CreateJobInParts at the same time
   JobSettings jobs;
   LiveSettings live;
 };
@@ -47,6 +48,8 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   ~CoordinatorService() override;
 
   grpc::Status CreateJob(grpc::ServerContext* context, const v1::CreateJobRequest* request, v1::Job* job) override;
+  grpc::Status CreateJobInParts(grpc::ServerContext* context, grpc::ServerReader<v1::CreateJobPart>* reader,
+                                v1::Job* job) override;
   grpc::ServerWriteReactor<v1::JobEvent>* WatchJob(grpc::CallbackServerContext* context,
                                                    const v1::WatchJobRequest* request) override;
   grpc::Status CancelJob(grpc::ServerContext* context, const v1::CancelJobRequest* request, v1::Job* job) override;
@@ -63,6 +66,7 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   using EventWriter = BlockingWriter<v1::JobEvent>;
   class Watcher;
 
+  JobRecord receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader);
   void watch(EventWriter& writer, const std::string& client, const v1::WatchJobRequest& request);
   v1::Job to_job(const JobRecord& record) const;
 
@@ -76,6 +80,9 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   std::condition_variable watchers_changed_;
   std::set<std::shared_ptr<EventWriter>> watchers_;
   ClientQuota watcher_quota_;
+  const std::chrono::milliseconds idle_timeout_;
+  std::mutex uploads_mutex_;
+  ClientQuota upload_quota_;
 };
 
 }  // namespace pleat::coordinator

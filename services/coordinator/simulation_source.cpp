@@ -76,6 +76,12 @@ v1::SimulateOpened SimulationSource::connect() {
   open.set_window(options_.window);
   open.set_checkpoint_interval(options_.checkpoint_interval);
   open.set_checkpoint(options_.checkpoint);
+  if (options_.animations == nullptr || options_.animations->empty()) return connection_->stream->open(request);
+  // The service answers after the last part.
+  for (const v1::AnimationPart& part : *options_.animations) {
+    connection_->stream->send(request);
+    *request.mutable_animation() = part;
+  }
   return connection_->stream->open(request);
 }
 

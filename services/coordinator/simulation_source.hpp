@@ -13,6 +13,9 @@
 
 namespace pleat::coordinator {
 
+/// Parts that several sources share: they may be large.
+using Animations = std::shared_ptr<const std::vector<v1::AnimationPart>>;
+
 /// One simulation of one scene. When the stream breaks it is opened again, at the newest check-point; frames that come
 /// a second time are dropped. The simulation is deterministic, so that the frames are those of an undisturbed run.
 class SimulationSource {
@@ -20,6 +23,7 @@ class SimulationSource {
   struct Options {
     std::vector<std::string> addresses;  ///< the next one is tried when one fails
     v1::Scene scene;                     ///< with its `frames`
+    Animations animations;               ///< what the scene announces (take_animations); null: nothing
     v1::SimulateOpen::Fine fine = v1::SimulateOpen::FINE_NONE;
     std::uint32_t window = 4;
     std::uint32_t checkpoint_interval = 25;

@@ -10,6 +10,7 @@
 #include "common/frame/messages.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "services/simulation/simulation.hpp"
 
@@ -36,6 +37,19 @@ void check_size(const Scene& scene, Mode mode, std::int64_t limit) {
     throw Error(ErrorCode::kResourceExhausted,
                 "scene '" + scene.name + "': about " + std::to_string(static_cast<std::int64_t>(vertices)) +
                     " vertices, more than this service's limit of " + std::to_string(limit));
+  }
+}
+
+// The parts of the animations that the scene announces.
+void receive_animations(v1::Scene& scene, grpc::ServerReaderWriter<v1::SimulateResponse, v1::SimulateRequest>& stream) {
+  AnimationAssembly assembly(scene, "scene");
+  v1::SimulateRequest request;
+  while (!assembly.complete()) {
+    if (!stream.Read(&request)) throw_invalid_argument("the stream ended too early: " + assembly.describe_missing());
+    if (!request.has_animation()) {
+      throw_invalid_argument("after `open` the parts of its animations must follow: " + assembly.describe_missing());
+    }
+    assembly.add(request.animation());
   }
 }
 
@@ -87,6 +101,7 @@ grpc::Status SimulationService::Simulate(grpc::ServerContext* context,
     const std::uint32_t window = rpc::checked_window(request.open().window());
     const std::uint32_t interval = request.open().checkpoint_interval();
     const rpc::detail::SessionCount session(&metrics_);
+    receive_animations(*request.mutable_open()->mutable_scene(), *stream);
     Simulation simulation = open_session(request.open(), options_);
     request.Clear();
     simulation.stop_when([context] { return context->IsCancelled(); });

@@ -10,6 +10,7 @@
 
 #include "common/rpc/channel.hpp"
 #include "common/rpc/stream.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "pleat/v1/conversion.grpc.pb.h"
 #include "pleat/v1/fold.grpc.pb.h"
 #include "pleat/v1/refinement.grpc.pb.h"
@@ -132,7 +133,12 @@ class FakeSimulation final : public FakeService, public v1::Simulation::Service 
     v1::SimulateRequest request;
     if (!stream->Read(&request)) return grpc::Status::OK;
     if (const grpc::Status refusal = faults.next_open(); !refusal.ok()) return refusal;
-    const v1::SimulateOpen open = request.open();
+    v1::SimulateOpen open = request.open();
+    AnimationAssembly assembly(*open.mutable_scene(), "scene");
+    for (; !assembly.complete(); ++parts) {
+      if (!stream->Read(&request)) return {grpc::StatusCode::INVALID_ARGUMENT, assembly.describe_missing()};
+      assembly.add(request.animation());
+    }
     if (open.scene().gravity_size() == 1) return {grpc::StatusCode::INVALID_ARGUMENT, "scene.gravity: 1 value, not 3"};
     ++opened;
     const Topology coarse = from_wire(open.scene().garment_mesh());

@@ -76,6 +76,7 @@ class FakeService {
   std::atomic<int> sessions{0};  ///< open streams
   std::atomic<int> frames{0};    ///< answered, by all streams
   std::atomic<int> opened{0};    ///< streams ever opened
+  std::atomic<int> parts{0};     ///< of animations, taken by all streams
 
   const std::string& address() const { return address_; }
   void start();

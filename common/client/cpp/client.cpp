@@ -7,6 +7,7 @@
 #include "common/client/cpp/messages.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
 
 namespace pleat::client {
@@ -15,6 +16,7 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kCallTimeout = 30s;
+constexpr auto kPartTimeout = 1s;  // more for every part of an animation
 constexpr auto kFirstBackoff = 100ms;
 constexpr int kAttempts = 3;
 
@@ -103,11 +105,11 @@ struct Client::State {
 
   /// One unary call, repeated with growing pauses while nobody answers.
   template <typename Call>
-  void call(Call&& make) const {
+  void call(Call&& make, std::chrono::seconds timeout = kCallTimeout) const {
     auto pause = std::chrono::milliseconds(kFirstBackoff);
     for (int attempt = 1;; ++attempt) {
       grpc::ClientContext context;
-      context.set_deadline(std::chrono::system_clock::now() + kCallTimeout);
+      context.set_deadline(std::chrono::system_clock::now() + timeout);
       const grpc::Status status = make(&context);
       if (status.error_code() != grpc::StatusCode::UNAVAILABLE || attempt == kAttempts) {
         rpc::throw_if_failed(status, peer);
@@ -138,7 +140,24 @@ void Client::wait_ready(std::chrono::milliseconds timeout) const {
 v1::Job Client::create_job(v1::CreateJobRequest request) const {
   if (request.job_id().empty()) request.set_job_id(random_id(request.scene().name()));
   v1::Job job;
-  state_->call([&](grpc::ClientContext* context) { return state_->stub->CreateJob(context, request, &job); });
+  const std::vector<v1::AnimationPart> parts = take_animations(*request.mutable_scene());
+  if (parts.empty()) {
+    state_->call([&](grpc::ClientContext* context) { return state_->stub->CreateJob(context, request, &job); });
+    return job;
+  }
+  const auto create = [&](grpc::ClientContext* context) {
+    const auto writer = state_->stub->CreateJobInParts(context, &job);
+    v1::CreateJobPart part;
+    *part.mutable_request() = request;
+    bool sent = writer->Write(part);
+    for (std::size_t i = 0; sent && i < parts.size(); ++i) {
+      *part.mutable_animation() = parts[i];
+      sent = writer->Write(part);
+    }
+    if (sent) writer->WritesDone();
+    return writer->Finish();
+  };
+  state_->call(create, kCallTimeout + kPartTimeout * static_cast<long>(parts.size()));
   return job;
 }
 

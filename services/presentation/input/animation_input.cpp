@@ -3,15 +3,13 @@
 #include <algorithm>
 
 #include "common/base/error.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "services/presentation/input/point_sequence.hpp"
 
 namespace pleat::presentation {
 namespace {
 
 namespace fs = std::filesystem;
-
-// A message has at most 64 MiB: this leaves room for the rest of the scene.
-constexpr std::uint64_t kMaxBytes = 60u << 20;
 
 void check_points(const std::string& source, Eigen::Index points, std::uint64_t found) {
   if (found == static_cast<std::uint64_t>(points)) return;
@@ -21,10 +19,11 @@ void check_points(const std::string& source, Eigen::Index points, std::uint64_t 
 void check_size(const std::string& source, std::uint64_t samples, Eigen::Index points) {
   if (samples == 0) throw_invalid_argument(source + " has no samples");
   const std::uint64_t row = 12 * static_cast<std::uint64_t>(points);
-  if (samples <= kMaxBytes / row) return;
+  if (samples <= kMaxAnimationBytes / row) return;
   throw Error(ErrorCode::kResourceExhausted, source + ": " + std::to_string(samples) + " samples of " +
                                                  std::to_string(points) + " points are more than the " +
-                                                 std::to_string(kMaxBytes >> 20) + " MiB that a scene can hold");
+                                                 std::to_string(kMaxAnimationBytes >> 20) +
+                                                 " MiB that a scene can hold");
 }
 
 }  // namespace

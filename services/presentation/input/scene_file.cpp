@@ -13,10 +13,12 @@
 #include "common/base/json.hpp"
 #include "common/base/text_file.hpp"
 #include "common/frame/messages.hpp"
-#include "common/mesh/garment.hpp"
 #include "common/mesh/holes.hpp"
 #include "common/mesh/mesh_file.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "services/presentation/input/animation_input.hpp"
+#include "services/presentation/input/body_input.hpp"
+#include "services/presentation/input/garment_input.hpp"
 
 namespace pleat::presentation {
 namespace {
@@ -131,7 +133,7 @@ void check_scene(const v1::Scene& scene, Eigen::Index vertices, const Checker& c
     check.word(obstacle.name(), where + ".name");
     if (!names.insert(obstacle.name()).second) check.fail(where + ".name '" + obstacle.name() + "' is taken");
     if (obstacle.shape_case() == v1::Obstacle::SHAPE_NOT_SET)
-      check.fail(where + " has neither sphere nor capsules nor mesh_file");
+      check.fail(where + " has neither sphere nor capsules nor mesh_file nor body");
     for (int c = 0; c < obstacle.capsules().capsules_size(); ++c) {
       const v1::Capsule& capsule = obstacle.capsules().capsules(c);
       const std::string key = where + ".capsules.capsules[" + std::to_string(c) + "]";
@@ -152,16 +154,13 @@ void check_scene(const v1::Scene& scene, Eigen::Index vertices, const Checker& c
   }
 }
 
-Eigen::Index point_count(const v1::Obstacle& obstacle) {
-  if (obstacle.has_mesh()) return obstacle.mesh().rest_positions_size() / 3;
-  return obstacle.has_capsules() ? 2 * obstacle.capsules().capsules_size() : 1;
+double frame_time_of(const v1::Scene& scene) {
+  return scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
 }
 
-/// How many samples of its animation the scene's frames see; one more, for the way to it.
-std::size_t samples_needed(const v1::Obstacle& obstacle, const v1::Scene& scene) {
-  const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
-  const v1::Animation& animation = obstacle.animation();
-  const double sample_time = animation.has_sample_time_s() ? animation.sample_time_s() : frame_time;
+/// How many samples of an animation the scene's frames see; one more, for the way to it.
+std::size_t samples_needed(double sample_time, const v1::Scene& scene) {
+  const double frame_time = frame_time_of(scene);
   if (!(sample_time > 0)) return 1;
   const double last = static_cast<double>(scene.frames()) * frame_time / sample_time;
   return static_cast<std::size_t>(std::min(std::ceil(last), 1e9)) + 2;
@@ -170,6 +169,12 @@ std::size_t samples_needed(const v1::Obstacle& obstacle, const v1::Scene& scene)
 /// Puts what the obstacle's files hold in their places.
 void inline_obstacle(v1::Obstacle& obstacle, const v1::Scene& scene, const fs::path& folder, const std::string& where,
                      std::vector<std::string>& notes) {
+  const double frame_time = frame_time_of(scene);
+  if (obstacle.has_body()) {
+    const double sample_time = obstacle.body().has_frame_time_s() ? obstacle.body().frame_time_s() : frame_time;
+    inline_body(obstacle, frame_time, samples_needed(sample_time, scene), folder, where, notes);
+    return;
+  }
   if (obstacle.shape_case() == v1::Obstacle::kMeshFile) {
     const fs::path file = folder / obstacle.mesh_file();
     std::error_code ignored;
@@ -179,9 +184,11 @@ void inline_obstacle(v1::Obstacle& obstacle, const v1::Scene& scene, const fs::p
   }
   if (obstacle.animation().file().empty()) return;
   const std::string name = std::exchange(*obstacle.mutable_animation()->mutable_file(), "");
+  const double sample_time =
+      obstacle.animation().has_sample_time_s() ? obstacle.animation().sample_time_s() : frame_time;
   try {
-    for (const Positions& sample :
-         read_animation(folder / name, point_count(obstacle), samples_needed(obstacle, scene)))
+    for (const Positions& sample : read_animation(folder / name, static_cast<Eigen::Index>(animated_points(obstacle)),
+                                                  samples_needed(sample_time, scene)))
       obstacle.mutable_animation()->mutable_positions()->Add(sample.data(), sample.data() + sample.size());
   } catch (const Error& error) {
     throw Error(error.code(), where + ".animation.file: " + error.what());
@@ -205,18 +212,11 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
   if (scene.frames() == 0) check.fail("frames is missing");
 
   switch (scene.garment_case()) {
-    case v1::Scene::kGarmentFile: {
-      const fs::path file = folder / scene.garment_file();
-      std::error_code ignored;
-      if (!fs::is_regular_file(file, ignored))
-        throw_not_found(name + ": garment_file " + file.string() + ": no such file");
-      const Topology garment = read_garment(file, notes, reading.scale);
-      require_rest_lengths(garment, file.string());
-      *scene.mutable_garment_mesh() = to_message(garment);
-      scene.mutable_garment_mesh()->set_hash(topology_hash(garment));
+    case v1::Scene::kGarmentFile:
+      inline_garments(scene, folder, name, reading.scale, notes);
       break;
-    }
     case v1::Scene::kGarmentMesh:
+      if (!scene.further_garment_files().empty()) check.fail("further_garment_files go with a garment_file");
       break;
     case v1::Scene::GARMENT_NOT_SET:
       check.fail("garment_file is missing");

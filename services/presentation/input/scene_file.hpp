@@ -16,14 +16,15 @@ struct SceneReading {
   std::vector<std::string>* notes = nullptr;  ///< gets what was changed or is unusual, a line each
 };
 
-/// Reads a scene file and puts the files that it names (garment, material, meshes and animations of obstacles; paths
-/// relative to the scene file) into the message, so that it can go to a service. Checks what needs no simulation:
-/// unknown keys, handles on vertices that do not exist, steps, frames and frame time that are not positive, vectors of
-/// another length than 3, names, radii, key frames out of order. Throws kNotFound (a file is missing), kInvalidArgument
-/// (everything else), with the file and the key in one line.
+/// Reads a scene file and puts the files that it names (garments, material, meshes, animations, bodies and their
+/// motions; paths relative to the scene file) into the message, so that it can go to a service. Checks what needs no
+/// simulation: unknown keys, handles on vertices that do not exist, steps, frames and frame time that are not positive,
+/// vectors of another length than 3, names, radii, key frames out of order. Throws kNotFound (a file is missing),
+/// kInvalidArgument (everything else), with the file and the key in one line.
 ///
 /// Garments are read by read_garment and must have their rest lengths; obstacles that are not closed get lids
-/// (close_holes); of animations only the samples that the frames need are read.
+/// (close_holes); of animations and motions only the samples that the frames need are read. The message may be larger
+/// than the wire takes in one piece (take_animations).
 v1::Scene read_scene_file(const std::filesystem::path& path, const SceneReading& reading = {});
 
 /// The same from text. `name` goes before messages, `folder` is where relative paths start.

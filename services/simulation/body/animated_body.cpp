@@ -1,6 +1,7 @@
 #include "services/simulation/body/animated_body.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -29,13 +30,27 @@ Motion on_the_floor(Motion motion) {
 
 }  // namespace
 
+void validate_options(const MotionOptions& options) {
+  constexpr int kMaxEaseFrames = 10'000, kMaxSmoothing = 100;
+  const auto check = [](bool good, const char* text) {
+    if (!good) throw_invalid_argument(text);
+  };
+  check(options.frame_time_s > 0 && std::isfinite(options.frame_time_s), "the time between frames must be positive");
+  check(options.start_s >= 0 && std::isfinite(options.start_s), "the start of the motion must not be negative");
+  check(options.end_s > options.start_s, "the end of the motion must be after its start");
+  check(options.ease_frames >= 0 && options.ease_frames <= kMaxEaseFrames,
+        "the frames into the motion must be 0 to 10000");
+  check(options.smoothing >= 0 && options.smoothing <= kMaxSmoothing, "the rounds of smoothing must be 0 to 100");
+}
+
 Motion fit_motion(const Motion& motion, const Skeleton& body, const MotionOptions& options,
                   const std::string& motion_name, const std::string& body_name, std::vector<std::string>& notes) {
+  validate_options(options);
   validate_motion(motion, motion_name);
   Retargeted fitted = retarget(motion, body, motion_name, body_name);
   notes.insert(notes.end(), fitted.notes.begin(), fitted.notes.end());
   Motion result = options.mirrored ? mirror(fitted.motion) : std::move(fitted.motion);
-  result = smooth(resample(result, options.frame_time_s, options.start_s), options.smoothing);
+  result = smooth(resample(result, options.frame_time_s, options.start_s, options.end_s), options.smoothing);
   if (options.at_rest_place) result = on_the_floor(start_at_rest(result));
   return ease_from_rest(result, options.ease_frames);
 }

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <filesystem>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -11,16 +12,21 @@
 namespace pleat::body {
 
 struct MotionOptions {
-  double frame_time_s = 0.04;  ///< of the result
-  double start_s = 0;          ///< of the motion, what comes before is left out
-  int ease_frames = 15;        ///< from the rest pose into the motion ([DT-S] 15, [MFSR] 80)
-  int smoothing = 1;           ///< rounds of smooth()
+  double frame_time_s = 0.04;                              ///< of the result
+  double start_s = 0;                                      ///< of the motion, what comes before is left out
+  double end_s = std::numeric_limits<double>::infinity();  ///< of the motion, what comes after is left out
+  int ease_frames = 15;  ///< from the rest pose into the motion ([DT-S] 15, [MFSR] 80)
+  int smoothing = 1;     ///< rounds of smooth()
   bool mirrored = false;
   bool at_rest_place = true;  ///< start_at_rest(), and the lowest joint of all frames as high as the lowest at rest
 };
 
+/// Throws kInvalidArgument, naming the option and its range.
+void validate_options(const MotionOptions& options);
+
 /// The motion for the body, in this order: retarget (which leaves a motion of the same skeleton as it is), mirror,
-/// resample, smooth, start_at_rest, ease_from_rest. Errors are those of these functions.
+/// resample, smooth, start_at_rest, ease_from_rest. Errors are those of these functions, and of
+/// validate_options.
 Motion fit_motion(const Motion& motion, const Skeleton& body, const MotionOptions& options,
                   const std::string& motion_name, const std::string& body_name, std::vector<std::string>& notes);
 

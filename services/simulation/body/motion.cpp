@@ -87,9 +87,9 @@ Pose pose_at(const Motion& motion, double time_s) {
   return interpolate(motion.frames[before], motion.frames[after], at - static_cast<double>(before));
 }
 
-Motion resample(const Motion& motion, double frame_time_s, double start_s) {
+Motion resample(const Motion& motion, double frame_time_s, double start_s, double end_s) {
   if (!(frame_time_s > 0) || !std::isfinite(frame_time_s)) throw_invalid_argument("the frame time must be positive");
-  const double duration = motion.duration_s() - start_s;
+  const double duration = std::min(motion.duration_s(), end_s) - start_s;
   if (!(start_s >= 0) || duration < 0)
     throw_invalid_argument("the motion lasts " + std::to_string(motion.duration_s()) + " s, it can't start at " +
                            std::to_string(start_s) + " s");

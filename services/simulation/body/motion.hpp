@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -28,9 +29,10 @@ Pose interpolate(const Pose& a, const Pose& b, double fraction);
 /// The motion at a time, constant before its first and after its last frame.
 Pose pose_at(const Motion& motion, double time_s);
 
-/// The same motion from start_s on with another frame time; the last frame is the last that is not after the end.
+/// The same motion from start_s to end_s with another frame time; the last frame is the last that is not after the end.
 /// Throws kInvalidArgument if the start is after the end, or the frame time is not positive.
-Motion resample(const Motion& motion, double frame_time_s, double start_s = 0);
+Motion resample(const Motion& motion, double frame_time_s, double start_s = 0,
+                double end_s = std::numeric_limits<double>::infinity());
 
 /// `rounds` times the binomial filter (1 4 6 4 1) / 16 over the frames: on joint quaternions, brought to one hemisphere
 /// and normalised again, and on translations. The ends are repeated, so a constant motion stays.

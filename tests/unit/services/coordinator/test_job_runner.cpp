@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <csignal>
 #include <fstream>
+#include <optional>
 
 #include "common/frame/messages.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "common/store/result.hpp"
 #include "tests/unit/services/coordinator/coordinator_fixture.hpp"
 
@@ -74,6 +76,88 @@ TEST_F(JobsTest, ARetriedRequestIsTheSameJob) {
   other.set_job_id("a");
   v1::Job job;
   EXPECT_EQ(create(other, &job).error_code(), grpc::StatusCode::ALREADY_EXISTS);
+}
+
+class PartsTest : public JobsTest {
+ protected:
+  PartsTest() {
+    request_.set_job_id("parts");
+    request_.set_detail(v1::DETAIL_NETWORK);
+    *request_.mutable_scene() = testing::fake_scene(6);
+    v1::Obstacle& ball = *request_.mutable_scene()->add_obstacles();
+    ball.set_name("puppet");
+    ball.mutable_sphere()->set_radius(1);
+    ball.mutable_animation()->mutable_positions()->Resize(3 * 6, 0.5F);
+    whole_ = request_;
+    parts_ = take_animations(*request_.mutable_scene(), 0);
+  }
+
+  /// What the call says after the request and these parts; an empty optional is the request.
+  grpc::Status send(const std::vector<std::optional<v1::AnimationPart>>& parts, v1::Job* job) {
+    grpc::ClientContext context;
+    const auto writer = stub_->CreateJobInParts(&context, job);
+    for (const auto& animation : parts) {
+      v1::CreateJobPart part;
+      if (animation) {
+        *part.mutable_animation() = *animation;
+      } else {
+        *part.mutable_request() = request_;
+      }
+      if (!writer->Write(part)) return writer->Finish();
+    }
+    writer->WritesDone();
+    return writer->Finish();
+  }
+
+  v1::CreateJobRequest request_, whole_;
+  std::vector<v1::AnimationPart> parts_;
+};
+
+TEST_F(PartsTest, AJobInPartsIsTheJob) {
+  start();
+  v1::Job job;
+  ASSERT_TRUE(send({std::nullopt, parts_[0]}, &job).ok());
+  EXPECT_EQ(finished("parts").state(), v1::Job::STATE_DONE);
+  // The same request, whole or in parts, is the same job.
+  EXPECT_TRUE(create(whole_, &job).ok());
+  EXPECT_TRUE(send({std::nullopt, parts_[0]}, &job).ok());
+  parts_[0].set_positions(0, 7);
+  EXPECT_EQ(send({std::nullopt, parts_[0]}, &job).error_code(), grpc::StatusCode::ALREADY_EXISTS);
+}
+
+TEST_F(PartsTest, WrongPartsAreRefusedAndLeaveNoJob) {
+  start();
+  const auto refused = [&](const std::vector<std::optional<v1::AnimationPart>>& parts, const std::string& text) {
+    v1::Job job;
+    const grpc::Status status = send(parts, &job);
+    EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << text;
+    EXPECT_NE(status.error_message().find(text), std::string::npos) << status.error_message();
+  };
+  refused({}, "must be its request");
+  refused({parts_[0]}, "must be its request");
+  refused({std::nullopt}, "'puppet' misses 6 samples");
+  refused({std::nullopt, std::nullopt}, "only parts of animations");
+  refused({std::nullopt, parts_[0], parts_[0]}, "no more parts");
+  grpc::ClientContext context;
+  v1::ListJobsResponse jobs;
+  ASSERT_TRUE(stub_->ListJobs(&context, {}, &jobs).ok());
+  EXPECT_EQ(jobs.jobs_size(), 0);
+}
+
+TEST_F(PartsTest, AClientThatSendsNothingMoreIsCutOff) {
+  options_.live.idle_timeout_s = 0.2;
+  options_.max_uploads = 1;
+  start();
+  v1::Job job;
+  grpc::ClientContext silent;
+  v1::CreateJobPart part;
+  *part.mutable_request() = request_;
+  const auto writer = stub_->CreateJobInParts(&silent, &job);
+  ASSERT_TRUE(writer->Write(part));
+  const grpc::StatusCode code = writer->Finish().error_code();
+  EXPECT_TRUE(code == grpc::StatusCode::DEADLINE_EXCEEDED || code == grpc::StatusCode::CANCELLED);
+  // Its place is free again.
+  EXPECT_TRUE(eventually([&] { return send({std::nullopt, parts_[0]}, &job).ok(); }));
 }
 
 TEST_F(JobsTest, BadRequestsAreRefusedWithTheirCauseAndLeaveNoJob) {

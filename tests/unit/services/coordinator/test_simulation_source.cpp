@@ -4,6 +4,7 @@
 #include <thread>
 
 #include "common/rpc/channel.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "services/coordinator/simulation_source.hpp"
 #include "tests/support/fake_stages.hpp"
 
@@ -63,6 +64,22 @@ TEST_F(SimulationSourceTest, FaultsAreInvisible) {
   EXPECT_EQ(fakes_.simulation().opened, 5);
   // From the start each time it would be at least 20 + 3 + 3 + 11 + 14.
   EXPECT_LT(fakes_.simulation().frames, 45) << "it goes on at the check-point, not at the start";
+}
+
+TEST_F(SimulationSourceTest, AnimationsInPartsAreSentAgainAfterAFault) {
+  SimulationSource::Options animated = options(12);
+  v1::Obstacle& ball = *animated.scene.add_obstacles();
+  ball.set_name("ball");
+  ball.mutable_sphere()->set_radius(1);
+  for (int i = 0; i < 3 * 400'000; ++i) ball.mutable_animation()->add_positions(0);
+  animated.animations = std::make_shared<const std::vector<v1::AnimationPart>>(take_animations(animated.scene, 0));
+  const int parts = static_cast<int>(animated.animations->size());
+  ASSERT_EQ(parts, 2);
+  fakes_.simulation().faults.at(7, Faults::Kind::kBreak);
+  SimulationSource source(animated);
+  run(source);
+  expect_indices(0, 12);
+  EXPECT_EQ(fakes_.simulation().parts, 2 * parts);
 }
 
 TEST_F(SimulationSourceTest, StartsAtACheckpoint) {

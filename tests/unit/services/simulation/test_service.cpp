@@ -14,6 +14,7 @@
 
 #include "common/frame/messages.hpp"
 #include "common/rpc/stream.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "services/simulation/scene_messages.hpp"
 #include "tests/unit/services/simulation/garments.hpp"
 
@@ -113,6 +114,54 @@ TEST_F(ServiceTest, StreamsEveryFrameInOrder) {
   }
   stream->close();
   EXPECT_FALSE(stream->pop(&response));
+}
+
+TEST_F(ServiceTest, AnimationsInPartsAreThoseOfTheScene) {
+  v1::Scene scene = scene_message(4);
+  for (int i = 0; i < 12; ++i) {
+    scene.mutable_obstacles(0)->mutable_animation()->add_positions(i % 3 == 1 ? -0.15f + 0.01f * (i / 3) : 0.0f);
+  }
+  const auto run = [&](Stream& stream) {
+    std::string frames;
+    v1::SimulateResponse response;
+    for (std::uint64_t k = 0; k < 4 && stream.pop(&response); ++k) {
+      frames += response.frame().coarse().SerializeAsString() + response.frame().obstacles(0).SerializeAsString();
+      acknowledge(stream, k);
+    }
+    return frames;
+  };
+  const auto whole = start();
+  whole->open(open_request(scene));
+  const std::string expected = run(*whole);
+  ASSERT_FALSE(expected.empty());
+
+  const auto parts = take_animations(scene, 0);
+  const auto stream = start();
+  stream->send(open_request(scene));
+  v1::SimulateRequest request;
+  *request.mutable_animation() = parts.at(0);
+  stream->open(request);
+  EXPECT_EQ(run(*stream), expected);
+
+  const auto refused = [&](const std::string& culprit, auto change) {
+    const auto other = start();
+    other->send(open_request(scene));
+    v1::SimulateRequest wrong = request;
+    change(wrong);
+    try {
+      other->open(wrong);
+      ADD_FAILURE() << "accepted: " << culprit;
+    } catch (const Error& e) {
+      EXPECT_EQ(e.code(), ErrorCode::kInvalidArgument) << e.what();
+      EXPECT_THAT(e.what(), HasSubstr(culprit));
+    }
+  };
+  refused("'ball' misses 4 samples", [](auto& wrong) { wrong.set_ack_index(0); });
+  refused("more than the 4 samples", [](auto& wrong) {
+    for (int i = 0; i < 3; ++i) wrong.mutable_animation()->add_positions(0);
+  });
+  refused("'bell': no part", [](auto& wrong) { wrong.mutable_animation()->set_obstacle("bell"); });
+  refused("is not finite", [](auto& wrong) { wrong.mutable_animation()->set_positions(4, std::nanf("")); });
 }
 
 TEST_F(ServiceTest, SendsNoMoreThanTheWindow) {

@@ -61,6 +61,15 @@ class FakeCoordinator final : public v1::Coordinator::Service {
       *job = made;
     });
   }
+  grpc::Status CreateJobInParts(grpc::ServerContext* context, grpc::ServerReader<v1::CreateJobPart>* reader,
+                                v1::Job* job) override {
+    v1::CreateJobPart part;
+    reader->Read(&part);
+    const v1::CreateJobRequest request = part.request();
+    parts_ = 0;
+    while (reader->Read(&part)) ++parts_;
+    return CreateJob(context, &request, job);
+  }
   grpc::Status GetJob(grpc::ServerContext*, const v1::GetJobRequest* request, v1::Job* job) override {
     return rpc::guard([&] { *job = find(request->id()); });
   }
@@ -120,7 +129,7 @@ class FakeCoordinator final : public v1::Coordinator::Service {
     });
   }
 
-  std::atomic<int> failures_ = 0, breaks_ = 0;
+  std::atomic<int> failures_ = 0, breaks_ = 0, parts_ = 0;
   std::map<std::string, v1::Job> jobs_;
 
  private:
@@ -169,6 +178,18 @@ TEST_F(ClientTest, Jobs) {
   EXPECT_EQ(client->get_job(job.id()).scene_name(), "draping");
   EXPECT_EQ(client->list_jobs().size(), 1u);
   EXPECT_EQ(client->cancel_job(job.id()).state(), v1::Job::STATE_CANCELLED);
+}
+
+TEST_F(ClientTest, LongAnimationsGoInParts) {
+  v1::CreateJobRequest request;
+  request.mutable_scene()->set_name("walk");
+  v1::Obstacle& ball = *request.mutable_scene()->add_obstacles();
+  ball.set_name("ball");
+  ball.mutable_sphere()->set_radius(1);
+  ball.mutable_animation()->mutable_positions()->Resize(3 * 1'500'000, 0);  // 17 MiB
+  coordinator.failures_ = 1;
+  EXPECT_EQ(client->create_job(request).scene_name(), "walk");
+  EXPECT_EQ(coordinator.parts_, 5);
 }
 
 TEST_F(ClientTest, WatchingAJobGoesOnAfterALostConnectionAndAFailedFrame) {

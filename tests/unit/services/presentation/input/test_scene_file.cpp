@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/frame/messages.hpp"
 #include "common/frame/scene_json.hpp"
 #include "common/store/hdf5.hpp"
 #include "tests/support/temporary_folder.hpp"
@@ -98,6 +99,94 @@ TEST_F(SceneFile, InlinesAnimationsOfObstacles) {
   limbs["capsules"]["capsules"] = json::array({{{"a", {0, 0, 0}}, {"b", {0, 1, 0}}, {"radius", 0.1}}});
   scene_["obstacles"] = json::array({limbs});
   EXPECT_EQ(parse(scene_).obstacles(0).animation().positions_size(), 24);
+}
+
+class SceneWithABody : public SceneFile {
+ protected:
+  void SetUp() override {
+    SceneFile::SetUp();
+    fs::copy_file("deploy/bodies/young-female.glb", folder_ / "woman.glb");
+    fs::copy_file("deploy/bodies/lambada.amc", folder_ / "dance.amc");
+    fs::copy_file("deploy/bodies/lambada.asf", folder_ / "dance.asf");
+    scene_["frames"] = 30;
+    scene_["obstacles"] = json::array({{{"name", "woman"}, {"body", {{"file", "woman.glb"}}}}});
+    body_ = &scene_["obstacles"][0]["body"];
+  }
+  json* body_ = nullptr;
+};
+
+TEST_F(SceneWithABody, ABodyAndItsMotionBecomeAMeshThatIsAnimated) {
+  (*body_)["motion_file"] = "dance.amc";
+  (*body_)["ease_frames"] = 5;
+  std::vector<std::string> notes;
+  const v1::Scene scene = parse_scene(scene_.dump(), "fall.json", folder_, {0, 1, &notes});
+  const v1::Obstacle& woman = scene.obstacles(0);
+  ASSERT_TRUE(woman.has_mesh());
+  EXPECT_EQ(woman.mesh().rest_positions_size(), 3 * 13'380);
+  EXPECT_EQ(woman.animation().sample_time_s(), 0.04);
+  EXPECT_EQ(woman.animation().positions_size(), 32 * 3 * 13'380) << "what 30 frames need, and one more";
+  EXPECT_THAT(notes, testing::Contains(testing::HasSubstr("'woman': ")));
+  EXPECT_THAT(scene_json(scene), testing::Not(testing::HasSubstr("samples")));
+  // The first sample is the rest pose; half a second later she is on her way.
+  const auto& positions = woman.animation().positions();
+  EXPECT_TRUE(std::equal(positions.begin(), positions.begin() + 3 * 13'380, woman.mesh().rest_positions().begin()));
+  EXPECT_FALSE(std::equal(positions.begin(), positions.begin() + 3 * 13'380, positions.begin() + 12 * 3 * 13'380));
+}
+
+TEST_F(SceneWithABody, WithoutAMotionABodyStands) {
+  const v1::Scene scene = parse(scene_);
+  EXPECT_TRUE(scene.obstacles(0).has_mesh());
+  EXPECT_FALSE(scene.obstacles(0).has_animation());
+}
+
+TEST_F(SceneWithABody, WhatIsWrongWithABodyIsSaidInOneLine) {
+  const json good = scene_;
+  const auto with = [&](const char* key, const json& value) {
+    json scene = good;
+    scene["obstacles"][0]["body"][key] = value;
+    return scene;
+  };
+  expect_error(with("file", "nobody.glb"), "obstacles[0].body.file", ErrorCode::kNotFound);
+  expect_error(with("file", ""), "obstacles[0].body.file is missing");
+  expect_error(with("file", "ball.obj"), "ball.obj");
+  expect_error(with("motion_file", "none.bvh"), "obstacles[0].body.motion_file", ErrorCode::kNotFound);
+  expect_error(with("motion_file", "woman.glb"), "woman.glb");
+  expect_error(with("skeleton_file", "none.asf"), "obstacles[0].body.skeleton_file", ErrorCode::kNotFound);
+  expect_error(with("frame_time_s", 0), "time between frames must be positive");
+  expect_error(with("start_s", -1), "must not be negative");
+  expect_error(with("end_s", 0), "must be after its start");
+  expect_error(with("ease_frames", 1'000'000), "0 to 10000");
+  expect_error(with("skinning", "SKINNING_RUBBER"), "skinning");
+  json moved = good;
+  moved["obstacles"][0]["motion"] = json::array({{{"time_s", 1}}});
+  expect_error(moved, "moves by its motion_file");
+  json animated = good;
+  animated["obstacles"][0]["animation"] = {{"file", "body.pc2"}};
+  expect_error(animated, "moves by its motion_file");
+}
+
+TEST_F(SceneFile, SeveralGarmentsAreOneMesh) {
+  scene_["further_garment_files"] = {"cloth.obj", "cloth.obj"};
+  const v1::Scene scene = parse(scene_);
+  EXPECT_TRUE(scene.further_garment_files().empty());
+  const Topology joined = from_message(scene.garment_mesh());
+  EXPECT_EQ(joined.vertex_count(), 12);
+  EXPECT_EQ(joined.face_count(), 6);
+  EXPECT_NO_THROW(validate_material_coordinates(joined, "joined"));
+  for (int piece = 0; piece < 3; ++piece) {
+    EXPECT_TRUE((joined.faces.middleRows(2 * piece, 2).array() - 4u * static_cast<unsigned>(piece) ==
+                 joined.faces.topRows(2).array())
+                    .all());
+    EXPECT_EQ(joined.rest_positions.middleRows(4 * piece, 4), joined.rest_positions.topRows(4));
+    // Beside each other in the material, as large as before.
+    const auto u = joined.uv.middleRows(4 * piece, 4).col(0);
+    EXPECT_NEAR(u.maxCoeff() - u.minCoeff(), 1, 1e-6);
+    if (piece > 0) {
+      EXPECT_GT(u.minCoeff(), joined.uv.topRows(4 * piece).col(0).maxCoeff());
+    }
+  }
+  scene_["further_garment_files"] = {"cloth.obj", "hat.obj"};
+  expect_error(scene_, "further_garment_files[1]", ErrorCode::kNotFound);
 }
 
 TEST_F(SceneFile, TakesAnIsotropicMaterialInPlaceOfAFile) {
