@@ -24,6 +24,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/runtime_folder.hpp"
+#include "common/rpc/frame_bytes.hpp"
 #include "common/rpc/pem.hpp"
 
 namespace pleat::rpc {
@@ -133,6 +134,7 @@ Server::Server(const ServerOptions& options, const std::vector<HostedService>& s
   builder.AddListeningPort(options.listen, server_credentials(options), &port);
   builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
+  builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_FRAME_SIZE, kHttp2FrameBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);  // a port that is taken is an error, not shared
   builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 15'000);
   // A client whose host is gone, or that says nothing at all, leaves its connection; they are asked and closed.

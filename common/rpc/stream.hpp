@@ -1,6 +1,7 @@
 // Bidirectional frame streams as the wire contract has them: `open` answered by `opened`, then frames, answered in
-// order, each by a frame or a FrameError. Synchronous gRPC underneath: one reader, one writer, workers between, all
-// bounded by the window. Messages are reused, so that a long session does not allocate per frame.
+// order, each by a frame or a FrameError. All is bounded by the window, and messages are reused, so that a long session
+// does not allocate per frame. As few threads as can be hand a frame to each other: waking one up costs as much as
+// copying a fine mesh.
 #pragma once
 
 #include <grpcpp/grpcpp.h>
@@ -138,7 +139,8 @@ class FrameStream {
   /// Sends `open` and returns `opened`. First call.
   auto open(const Request& request);
 
-  /// Sends a frame; blocks while the window is full.
+  /// Sends a frame; blocks while the window is full, or the peer has not taken the one before. The request may be
+  /// changed or freed when it returns. That the peer did not get it is told by the next call, here or in pop().
   void push(const Request& request);
   /// Sends a frame unless the window is full.
   bool try_push(const Request& request);
@@ -161,9 +163,10 @@ class FrameStream {
   class Call;
 
   bool write(const Request& request, bool counted, bool wait);
+  [[noreturn]] void throw_write_failure(Lock& lock);
   bool read(Lock& lock);
   template <typename Done>
-  bool wait_for_peer(Lock& lock, Clock::time_point since, Done done);
+  bool wait_for_peer(Lock& lock, std::condition_variable& changed, Clock::time_point since, Done done);
   void take_status(Lock& lock);
   void fail(Lock& lock, const Error& error);
   void throw_if_ended_badly() const;
@@ -174,6 +177,7 @@ class FrameStream {
   std::uint32_t in_flight_ = 0;
   bool opened_ = false, closed_ = false, ended_ = false, reading_ = false;
   Clock::time_point last_sign_ = Clock::now();  ///< when the peer last answered, or was last asked
+  Clock::time_point write_since_{};             ///< when the write began that is not through
   std::optional<Error> error_;
 };
 

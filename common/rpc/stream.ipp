@@ -5,30 +5,6 @@ namespace pleat::rpc {
 
 namespace detail {
 
-/// The state that the reader, the workers and the writer of one served stream share.
-template <typename Request, typename Response>
-struct ServedStream {
-  struct Slot {
-    Request request;
-    Response response;
-    bool done = false;
-  };
-
-  explicit ServedStream(std::uint32_t window) : slots(window) {
-    for (Slot& slot : slots) free.push_back(&slot);
-  }
-
-  std::vector<Slot> slots;
-  std::mutex mutex;
-  std::condition_variable changed;
-  std::deque<Slot*> free;     ///< read into these
-  std::deque<Slot*> waiting;  ///< to be processed
-  std::deque<Slot*> order;    ///< all in flight, oldest first
-  bool no_more = false;       ///< the reader has ended
-  bool broken = false;        ///< the client has gone
-  grpc::Status status = grpc::Status::OK;
-};
-
 template <typename Response>
 void set_frame_error(Response* response, std::uint64_t index, const grpc::Status& status) {
   response->Clear();
@@ -39,25 +15,25 @@ void set_frame_error(Response* response, std::uint64_t index, const grpc::Status
 }
 
 template <typename Request, typename Response, typename Process>
-void process_slot(typename ServedStream<Request, Response>::Slot& slot, const Process& process,
-                  const FrameServiceOptions& options) {
-  const std::uint64_t index = frame_index(slot.request.frame());
+void process_frame(const Request& request, Response& response, const Process& process,
+                   const FrameServiceOptions& options) {
+  const std::uint64_t index = frame_index(request.frame());
   telemetry::StageTimer timer;
   if (options.metrics != nullptr) options.metrics->add_inflight(options.stage, 1);
   const grpc::Status status = guard([&] {
-    slot.response.Clear();
-    if constexpr (std::is_invocable_v<Process, const Request&, decltype(slot.response.mutable_frame())>) {
-      process(slot.request, slot.response.mutable_frame());
+    response.Clear();
+    if constexpr (std::is_invocable_v<Process, const Request&, decltype(response.mutable_frame())>) {
+      process(request, response.mutable_frame());
     } else {
-      process(slot.request.frame(), slot.response.mutable_frame());
+      process(request.frame(), response.mutable_frame());
     }
   });
   const double ms = timer.milliseconds();
   if (!status.ok()) {
-    set_frame_error(&slot.response, index, status);
-  } else if constexpr (requires { slot.response.mutable_frame()->add_stage_times(); }) {
+    set_frame_error(&response, index, status);
+  } else if constexpr (requires { response.mutable_frame()->add_stage_times(); }) {
     if (!options.stage.empty()) {
-      auto* time = slot.response.mutable_frame()->add_stage_times();
+      auto* time = response.mutable_frame()->add_stage_times();
       time->set_stage(options.stage);
       time->set_ms(ms);
     }
@@ -155,6 +131,152 @@ class SessionCount {
   telemetry::Metrics* metrics_;
 };
 
+/// One served stream: concurrency + 1 threads alike, of which one reads while the others process and write. Who has
+/// read a frame processes and answers it, and another takes over the reading; a frame that comes alone waits for no
+/// thread to wake up.
+template <typename Request, typename Response, typename Process>
+class ServedStream {
+ public:
+  using Stream = grpc::ServerReaderWriter<Response, Request>;
+
+  ServedStream(grpc::ServerContext* context, Stream* stream, const FrameServiceOptions& options, std::uint32_t window,
+               const Process& process, ClientWatch& watch)
+      : context_(context),
+        stream_(stream),
+        options_(options),
+        concurrency_(std::max<std::size_t>(1, options.concurrency)),
+        process_(process),
+        watch_(watch),
+        slots_(window) {
+    for (Slot& slot : slots_) free_.push_back(&slot);
+  }
+
+  /// Until the client has no more and everything is answered, or it has gone.
+  grpc::Status run() {
+    Threads threads([this] {
+      const std::lock_guard lock(mutex_);
+      broken_ = true;
+      changed_.notify_all();
+      context_->TryCancel();  // a reader that waits for the client ends at once
+    });
+    for (std::size_t i = 0; i < concurrency_; ++i) threads.start([this] { work(); });
+    work();
+    threads.join_at_ease();  // all end when the last frame is answered, or when one finds that the client has gone
+    if (watch_.timed_out()) return {grpc::StatusCode::DEADLINE_EXCEEDED, "the client was silent, or did not read"};
+    if (broken_) return {grpc::StatusCode::CANCELLED, "the client has gone"};
+    return status_;
+  }
+
+ private:
+  struct Slot {
+    Request request;
+    Response response;
+    bool done = false;
+  };
+  using Lock = std::unique_lock<std::mutex>;
+
+  bool may_write() const { return !writing_ && !order_.empty() && order_.front()->done; }
+  bool may_process() const { return processing_ < concurrency_ && !waiting_.empty(); }
+  bool may_read() const { return !reading_ && !no_more_ && !free_.empty(); }
+
+  void work() {
+    Lock lock(mutex_);
+    while (!broken_) {
+      if (may_write()) {
+        write_oldest(lock);
+      } else if (may_process()) {
+        process_next(lock);
+      } else if (may_read()) {
+        read_next(lock);
+      } else if (no_more_ && order_.empty()) {
+        return;
+      } else {
+        changed_.wait(lock);
+      }
+    }
+  }
+
+  /// Without the lock. Whatever else there is to do is another thread's meanwhile.
+  template <typename Action>
+  void outside(Lock& lock, const Action& action) {
+    const bool more = may_write() || may_process() || may_read();
+    lock.unlock();
+    if (more) changed_.notify_one();
+    action();
+    lock.lock();
+  }
+
+  void read_next(Lock& lock) {
+    Slot* slot = free_.front();
+    free_.pop_front();
+    slot->done = false;
+    bool read = false;
+    reading_ = true;
+    outside(lock, [&] {
+      set_end_mark(&slot->request);
+      read = stream_->Read(&slot->request);
+    });
+    reading_ = false;
+    const bool frame = read && slot->request.has_frame();
+    if (!read && !has_end_mark(slot->request)) status_ = undecodable();
+    if (read && !frame) status_ = {grpc::StatusCode::INVALID_ARGUMENT, "after `open` only frames may follow"};
+    if (!frame) {
+      no_more_ = true;
+      changed_.notify_all();
+      return;
+    }
+    if (order_.empty()) watch_.expect_nothing();
+    order_.push_back(slot);
+    waiting_.push_back(slot);
+  }
+
+  void process_next(Lock& lock) {
+    Slot* slot = waiting_.front();
+    waiting_.pop_front();
+    ++processing_;
+    outside(lock, [&] { process_frame(slot->request, slot->response, process_, options_); });
+    --processing_;
+    slot->done = true;
+  }
+
+  void write_oldest(Lock& lock) {
+    Slot* slot = order_.front();
+    watch_.expect_within(options_.reader_timeout);
+    bool written = false;
+    writing_ = true;
+    outside(lock, [&] { written = stream_->Write(slot->response); });
+    writing_ = false;
+    if (!written) {
+      broken_ = true;
+      changed_.notify_all();
+      context_->TryCancel();
+      return;
+    }
+    order_.pop_front();
+    free_.push_back(slot);
+    order_.empty() ? watch_.expect_within(options_.idle_timeout) : watch_.expect_nothing();
+    if (no_more_ && order_.empty()) changed_.notify_all();
+  }
+
+  grpc::ServerContext* const context_;
+  Stream* const stream_;
+  const FrameServiceOptions& options_;
+  const std::size_t concurrency_;
+  const Process& process_;
+  ClientWatch& watch_;
+  std::vector<Slot> slots_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<Slot*> free_;     ///< read into these
+  std::deque<Slot*> waiting_;  ///< to be processed
+  std::deque<Slot*> order_;    ///< all in flight, oldest first
+  std::size_t processing_ = 0;
+  bool reading_ = false, writing_ = false;
+  bool no_more_ = false;  ///< the client sends nothing more
+  bool broken_ = false;   ///< the client has gone
+  grpc::Status status_ = grpc::Status::OK;
+};
+
 }  // namespace detail
 
 template <typename Request, typename Response, typename Open>
@@ -180,83 +302,9 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
     if (!stream->Write(opened)) return grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
     watch.expect_within(options.idle_timeout);
 
-    using Shared = detail::ServedStream<Request, Response>;
-    Shared shared(window);
-
-    const auto read_requests = [&] {
-      std::unique_lock lock(shared.mutex);
-      while (true) {
-        shared.changed.wait(lock, [&] { return !shared.free.empty() || shared.broken; });
-        if (shared.broken) break;
-        auto* slot = shared.free.front();
-        shared.free.pop_front();
-        slot->done = false;
-        lock.unlock();
-        set_end_mark(&slot->request);
-        const bool read = stream->Read(&slot->request);
-        lock.lock();
-        if (!read) {
-          if (!has_end_mark(slot->request)) shared.status = undecodable();
-          break;
-        }
-        if (!slot->request.has_frame()) {
-          shared.status = grpc::Status(grpc::StatusCode::INVALID_ARGUMENT, "after `open` only frames may follow");
-          break;
-        }
-        if (shared.order.empty()) watch.expect_nothing();
-        shared.order.push_back(slot);
-        shared.waiting.push_back(slot);
-        shared.changed.notify_all();
-      }
-      shared.no_more = true;
-      shared.changed.notify_all();
-    };
-    const auto process_requests = [&] {
-      std::unique_lock lock(shared.mutex);
-      while (true) {
-        shared.changed.wait(lock, [&] { return !shared.waiting.empty() || shared.no_more || shared.broken; });
-        if (shared.broken || shared.waiting.empty()) return;
-        auto* slot = shared.waiting.front();
-        shared.waiting.pop_front();
-        lock.unlock();
-        detail::process_slot<Request, Response>(*slot, process, options);
-        lock.lock();
-        slot->done = true;
-        shared.changed.notify_all();
-      }
-    };
-    detail::Threads threads([&] {
-      const std::lock_guard lock(shared.mutex);
-      shared.broken = true;
-      shared.changed.notify_all();
-      context->TryCancel();  // a reader that waits for the client ends at once
-    });
-    threads.start(read_requests);
-    for (std::size_t i = 0; i < std::max<std::size_t>(1, options.concurrency); ++i) threads.start(process_requests);
-
-    bool written = true;
-    {
-      std::unique_lock lock(shared.mutex);
-      while (true) {
-        shared.changed.wait(lock, [&] { return shared.order.empty() ? shared.no_more : shared.order.front()->done; });
-        if (shared.order.empty()) break;
-        auto* slot = shared.order.front();
-        watch.expect_within(options.reader_timeout);
-        lock.unlock();
-        written = stream->Write(slot->response);
-        lock.lock();
-        if (!written) break;
-        shared.order.pop_front();
-        shared.order.empty() ? watch.expect_within(options.idle_timeout) : watch.expect_nothing();
-        shared.free.push_back(slot);
-        shared.changed.notify_all();
-      }
-    }
-    if (written) threads.join_at_ease();
-    threads.stop_and_join();
-    if (watch.timed_out()) return {grpc::StatusCode::DEADLINE_EXCEEDED, "the client was silent, or did not read"};
-    if (!written) return {grpc::StatusCode::CANCELLED, "the client has gone"};
-    return shared.status;
+    return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(context, stream, options, window,
+                                                                                    process, watch)
+        .run();
   });
 }
 
@@ -358,8 +406,15 @@ class FrameStream<Request, Response>::Call final : public Reactor {
   bool released() const { return released_; }
   void cancel() { context_.TryCancel(); }
 
+  /// The stream has ended, or more than one thread waits for what has changed.
+  void notify_all() {
+    changed.notify_all();
+    may_write.notify_all();
+  }
+
   mutable std::mutex mutex;
-  std::condition_variable changed;
+  std::condition_variable changed;    ///< an answer, the status, or the end
+  std::condition_variable may_write;  ///< a write is through, the window has room, or the end
   Response response;
   bool reading = false, writing = false;  ///< asked for, and not there yet
   bool read_ok = true, write_ok = true, undecodable = false;
@@ -394,13 +449,13 @@ class FrameStream<Request, Response>::Call final : public Reactor {
     const std::lock_guard lock(mutex);
     writing = false;
     write_ok = write_ok && ok;
-    changed.notify_all();
+    may_write.notify_all();
   }
   void OnDone(const grpc::Status& final_status) override {
     const std::shared_ptr<Call> last = std::move(self_);
     const std::lock_guard lock(mutex);
     status = final_status;
-    changed.notify_all();
+    notify_all();
   }
 
   grpc::ClientContext context_;
@@ -451,27 +506,33 @@ void FrameStream<Request, Response>::send(const Request& request) {
   write(request, false, false);
 }
 
+/// Starts the write. gRPC has a copy of the request by then, so that only the next write waits until this one is
+/// through.
 template <typename Request, typename Response>
 bool FrameStream<Request, Response>::write(const Request& request, bool counted, bool wait) {
   const std::lock_guard write_lock(write_mutex_);
   Lock lock(call_->mutex);
   if (counted) {
     const auto has_room = [&] { return ended_ || in_flight_ < options_.window; };
-    if (wait) call_->changed.wait(lock, has_room);
+    if (wait) call_->may_write.wait(lock, has_room);
     if (!has_room()) return false;
   }
+  wait_for_peer(lock, call_->may_write, write_since_, [&] { return !call_->writing; });
   // A call that is ending tells its cause with its end.
   if (call_->released()) call_->changed.wait(lock, [&] { return ended_; });
   throw_if_ended_badly();
+  if (!call_->write_ok) throw_write_failure(lock);
   if (ended_ || closed_) throw Error(ErrorCode::kFailedPrecondition, options_.peer + ": the stream is closed");
   if (counted) ++in_flight_;
-  const auto since = last_sign_ = Clock::now();
-  call_->changed.notify_all();
+  write_since_ = last_sign_ = Clock::now();
   call_->start_write(lock, request);
-  wait_for_peer(lock, since, [&] { return !call_->writing; });
-  throw_if_ended_badly();
-  if (call_->write_ok) return true;
-  // The cause comes with the status, and that only after reading has ended: here, unless another thread reads.
+  return true;
+}
+
+/// The cause of a write that failed comes with the status, and that only after reading has ended: here, unless another
+/// thread reads.
+template <typename Request, typename Response>
+void FrameStream<Request, Response>::throw_write_failure(Lock& lock) {
   while (!ended_) {
     if (reading_) {
       call_->changed.wait(lock, [&] { return ended_ || !reading_; });
@@ -492,7 +553,7 @@ bool FrameStream<Request, Response>::pop(Response* response) {
     if (read(lock)) {
       response->Swap(&call_->response);
       if (in_flight_ > 0 && opened_) --in_flight_;
-      call_->changed.notify_all();
+      call_->may_write.notify_all();
       return true;
     }
     take_status(lock);
@@ -506,7 +567,7 @@ template <typename Request, typename Response>
 bool FrameStream<Request, Response>::read(Lock& lock) {
   reading_ = true;
   call_->start_read(lock);
-  const bool done = wait_for_peer(lock, Clock::now(), [&] { return !call_->reading; });
+  const bool done = wait_for_peer(lock, call_->changed, Clock::now(), [&] { return !call_->reading; });
   reading_ = false;
   if (done && !ended_ && call_->read_ok) last_sign_ = Clock::now();
   if (done && call_->undecodable) {
@@ -520,18 +581,17 @@ bool FrameStream<Request, Response>::read(Lock& lock) {
 /// `since`, and since the last answer. Between frames nothing is expected. True: done.
 template <typename Request, typename Response>
 template <typename Done>
-bool FrameStream<Request, Response>::wait_for_peer(Lock& lock, Clock::time_point since, Done done) {
+bool FrameStream<Request, Response>::wait_for_peer(Lock& lock, std::condition_variable& changed,
+                                                   Clock::time_point since, Done done) {
   const auto over = [&] { return ended_ || done(); };
   while (!over()) {
     const bool expected = !opened_ || call_->writing || in_flight_ > 0 || options_.server_driven;
-    if (!expected) {
-      call_->changed.wait(lock);
-      continue;
-    }
     const auto timeout = opened_ ? options_.frame_timeout : options_.open_timeout;
-    const auto deadline = std::max(since, last_sign_) + timeout;
-    if (Clock::now() < deadline) {
-      call_->changed.wait_until(lock, deadline);
+    const auto now = Clock::now();
+    // What is asked for from now on has the whole time-out: it is early enough to look again then.
+    const auto deadline = expected ? std::max(since, last_sign_) + timeout : now + timeout;
+    if (now < deadline) {
+      changed.wait_until(lock, deadline);
     } else {
       fail(lock, Error(ErrorCode::kDeadlineExceeded,
                        options_.peer + ": no answer within " + std::to_string(timeout.count()) + " ms"));
@@ -546,7 +606,7 @@ void FrameStream<Request, Response>::take_status(Lock& lock) {
   if (ended_) return;
   reading_ = true;  // the one who takes it
   call_->release(lock);
-  wait_for_peer(lock, Clock::now(), [&] { return call_->status.has_value(); });
+  wait_for_peer(lock, call_->changed, Clock::now(), [&] { return call_->status.has_value(); });
   reading_ = false;
   if (ended_) return;
   const grpc::Status& status = *call_->status;
@@ -558,7 +618,7 @@ void FrameStream<Request, Response>::take_status(Lock& lock) {
     error_.emplace(ErrorCode::kUnavailable, options_.peer + " ended the stream with frames unanswered");
   }
   ended_ = true;
-  call_->changed.notify_all();
+  call_->notify_all();
 }
 
 /// Ends the stream at once, and leaves the call to gRPC. With the lock.
@@ -567,7 +627,7 @@ void FrameStream<Request, Response>::fail(Lock& lock, const Error& error) {
   if (ended_) return;
   ended_ = true;
   error_ = error;
-  call_->changed.notify_all();
+  call_->notify_all();
   call_->cancel();
   call_->release(lock);
 }
@@ -583,6 +643,7 @@ void FrameStream<Request, Response>::close() {
   Lock lock(call_->mutex);
   if (closed_ || ended_) return;
   closed_ = true;
+  if (!wait_for_peer(lock, call_->may_write, write_since_, [&] { return !call_->writing; })) return;
   if (!call_->released()) call_->start_writes_done(lock);
 }
 

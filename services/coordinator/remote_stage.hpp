@@ -134,7 +134,7 @@ class RemoteStage final : public Stage {
         memory_(options_.memory),
         scheduler_({.replicas = replica_count(), .window = options_.window}, options_.first_sequence,
                    callbacks_.deliver, callbacks_.drained),
-        streams_(replica_count(), nullptr) {}
+        links_(replica_count()) {}
 
   ~RemoteStage() override {
     stop();
@@ -150,8 +150,8 @@ class RemoteStage final : public Stage {
       // Open streams close in good order; attempts to connect need not end any more.
       const std::lock_guard lock(mutex_);
       joining_ = true;
-      for (std::size_t r = 0; r < streams_.size(); ++r) {
-        if (streams_[r] != nullptr && !scheduler_.live(r)) streams_[r]->cancel();
+      for (std::size_t r = 0; r < links_.size(); ++r) {
+        if (links_[r].stream != nullptr && !scheduler_.live(r)) links_[r].stream->cancel();
       }
     }
     for (std::thread& replica : replicas_) replica.join();
@@ -159,19 +159,31 @@ class RemoteStage final : public Stage {
   }
 
   bool push(std::unique_ptr<PipelineFrame> frame) override {
-    return frame->error ? scheduler_.pass(std::move(frame)) : scheduler_.push(std::move(frame));
+    if (frame->error) return scheduler_.pass(std::move(frame));
+    typename Scheduler::Direct direct;
+    if (!scheduler_.push(std::move(frame), &direct)) return false;
+    if (direct.work) send_direct(std::move(direct));
+    return true;
   }
   void close() override { scheduler_.close(); }
   void stop() override {
     scheduler_.stop();
     const std::lock_guard lock(mutex_);
-    for (Stream* stream : streams_) {
-      if (stream != nullptr) stream->cancel();
+    for (const Link& link : links_) {
+      if (link.stream != nullptr) link.stream->cancel();
     }
   }
 
  private:
   using Clock = std::chrono::steady_clock;
+  using Scheduler = StageScheduler<PipelineFrame>;
+
+  /// To a replica. It lasts as long as the scheduler lets somebody send.
+  struct Link {
+    Stream* stream = nullptr;
+    bool begun = false;            ///< a request was sent
+    std::optional<Error> failure;  ///< of who sent in the sender's place
+  };
 
   std::size_t replica_count() const { return Sequential<Rpc> ? 1 : options_.addresses.size(); }
   /// A sequential stage changes its address between streams only.
@@ -222,6 +234,7 @@ class RemoteStage final : public Stage {
       const auto opened = stream.open(options_.open);
       const auto since = Clock::now();
       if (!accept(r, opened)) return std::nullopt;
+      links_[r].begun = false;
       scheduler_.connected(r);
       auto cause = exchange(r, stream, answered);
       // A stream that served, or that idled for a while, was no failed attempt: the outage begins now.
@@ -242,6 +255,36 @@ class RemoteStage final : public Stage {
       callbacks_.failed(Error(e.code(), peer(r) + ": " + e.what()));
       return false;
     }
+  }
+
+  /// One thread at a time, as the scheduler says.
+  void send(std::size_t r, std::shared_ptr<const google::protobuf::Message> work) {
+    Link& link = links_[r];
+    if constexpr (Sequential<Rpc>) {
+      if (!link.begun && memory_) work = Rpc::resumed(std::move(work), *memory_);
+    }
+    link.begun = true;
+    link.stream->push(static_cast<const Request&>(*work));
+  }
+
+  /// In the thread that had the frame before: a frame that finds the replica idle waits for no thread to wake up. What
+  /// fails ends the stream; its frames are sent again then.
+  void send_direct(typename Scheduler::Direct direct) {
+    const std::size_t r = direct.replica;
+    std::optional<Error> failure;
+    try {
+      send(r, std::move(direct.work));
+    } catch (const Error& e) {
+      failure = e;
+    } catch (const std::exception& e) {
+      failure = Error(ErrorCode::kInternal, peer(r) + ": " + e.what());
+    }
+    if (failure) {
+      const std::lock_guard lock(mutex_);
+      links_[r].failure = failure;
+      links_[r].stream->cancel();
+    }
+    scheduler_.sent(r);
   }
 
   std::optional<Error> exchange(std::size_t r, Stream& stream, bool& answered) {
@@ -265,14 +308,7 @@ class RemoteStage final : public Stage {
       ended.notify_all();
     });
     try {
-      [[maybe_unused]] bool first = true;
-      while (auto work = scheduler_.take(r)) {
-        if constexpr (Sequential<Rpc>) {
-          if (first && memory_) work = Rpc::resumed(std::move(work), *memory_);
-          first = false;
-        }
-        stream.push(static_cast<const Request&>(*work));
-      }
+      while (auto work = scheduler_.take(r)) send(r, std::move(work));
       if (scheduler_.drained()) stream.close();
     } catch (const Error& e) {
       write_failure = e;
@@ -285,6 +321,8 @@ class RemoteStage final : public Stage {
       }
     }
     reader.join();
+    scheduler_.wait_sent(r);
+    if (!write_failure) write_failure = std::exchange(links_[r].failure, std::nullopt);
     if (scheduler_.finished()) return std::nullopt;
     if (read_failure && read_failure->code() != ErrorCode::kCancelled) return read_failure;
     if (write_failure) return write_failure;
@@ -327,12 +365,12 @@ class RemoteStage final : public Stage {
    public:
     Registration(RemoteStage& stage, std::size_t r, Stream& stream) : stage_(stage), r_(r) {
       const std::lock_guard lock(stage_.mutex_);
-      stage_.streams_[r_] = &stream;
+      stage_.links_[r_].stream = &stream;
       if (stage_.scheduler_.finished() || stage_.joining_) stream.cancel();
     }
     ~Registration() {
       const std::lock_guard lock(stage_.mutex_);
-      stage_.streams_[r_] = nullptr;
+      stage_.links_[r_].stream = nullptr;
     }
     Registration(const Registration&) = delete;
     Registration& operator=(const Registration&) = delete;
@@ -348,10 +386,10 @@ class RemoteStage final : public Stage {
   /// Of the last frame that was answered; read before the first request of a stream is sent, written after that.
   MemoryPtr memory_;
   std::size_t turn_ = 0;  ///< of a sequential stage, through the addresses
-  StageScheduler<PipelineFrame> scheduler_;
+  Scheduler scheduler_;
   std::mutex mutex_;
   bool joining_ = false;
-  std::vector<Stream*> streams_;
+  std::vector<Link> links_;
   std::vector<std::thread> replicas_;
 };
 

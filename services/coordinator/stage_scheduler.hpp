@@ -25,6 +25,7 @@ struct StageLimits {
 ///
 /// Items enter in sequence, without gaps, and leave in sequence. At most replicas * window are inside, so that memory
 /// is bounded and a slow consumer slows the producer. Thread-safe; each replica has one sender and one receiver thread.
+/// The sender is woken up only for what waits: who pushes an item that a replica can take at once sends it itself.
 template <typename Item>
 class StageScheduler {
  public:
@@ -42,16 +43,48 @@ class StageScheduler {
         on_drained_(std::move(drained)),
         replicas_(limits.replicas) {}
 
+  /// Work for its caller to send, followed by sent(replica). Without work: nothing to do.
+  struct Direct {
+    Work work = nullptr;
+    std::size_t replica = 0;
+  };
+
   /// Waits for room. Returns false, and drops the item, when the stage was stopped.
-  bool push(ItemPtr item) {
+  bool push(ItemPtr item, Direct* direct = nullptr) {
     {
       std::unique_lock lock(mutex_);
       if (!wait_for_room(lock)) return false;
       const std::uint64_t sequence = item->sequence;
+      const bool first = pending_.empty();
       pending_.emplace(sequence, Entry{std::move(item)});
+      if (direct != nullptr && first) {
+        for (std::size_t r = 0; r < replicas_.size(); ++r) {
+          if (!may_take(r) || replicas_[r].sender_sends) continue;
+          *direct = {take_next(r), r};
+          replicas_[r].other_sends = true;
+          return true;
+        }
+      }
     }
     changed_.notify_all();
     return true;
+  }
+
+  /// What push() returned as `direct` is sent.
+  void sent(std::size_t replica) {
+    bool awaited = false;
+    {
+      const std::lock_guard lock(mutex_);
+      replicas_[replica].other_sends = false;
+      awaited = !pending_.empty() || !replicas_[replica].live;
+    }
+    if (awaited) changed_.notify_all();
+  }
+
+  /// Waits until nobody sends to a replica that is not connected any more.
+  void wait_sent(std::size_t replica) {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [&] { return !replicas_[replica].other_sends; });
   }
 
   /// The same for an item that this stage has nothing to do for (it failed before): it only keeps its place.
@@ -78,6 +111,7 @@ class StageScheduler {
       stopped_ = true;
     }
     changed_.notify_all();
+    room_.notify_all();
   }
 
   /// True when stopped or drained: replicas need not be connected any more.
@@ -127,18 +161,16 @@ class StageScheduler {
   }
 
   /// The next work for a replica; waits until it has room, is the one with the least in flight, and work is there.
-  /// Null when the stage is finished or the replica is not connected.
+  /// Null when the stage is finished or the replica is not connected. What was taken before is sent.
   Work take(std::size_t replica) {
     std::unique_lock lock(mutex_);
-    changed_.wait(lock, [&] {
-      return stopped_ || drained_ || !replicas_[replica].live || (!pending_.empty() && has_least(replica));
-    });
-    if (stopped_ || drained_ || !replicas_[replica].live) return nullptr;
-    auto node = pending_.extract(pending_.begin());
     Replica& taker = replicas_[replica];
-    node.mapped().sent = Clock::now();
-    Work work = node.mapped().item->work;
-    taker.outstanding.insert(std::move(node));
+    taker.sender_sends = false;
+    changed_.wait(lock,
+                  [&] { return stopped_ || drained_ || !taker.live || (!pending_.empty() && may_take(replica)); });
+    if (stopped_ || drained_ || !taker.live) return nullptr;
+    Work work = take_next(replica);
+    taker.sender_sends = true;
     if (!pending_.empty()) {
       lock.unlock();
       changed_.notify_all();
@@ -150,6 +182,7 @@ class StageScheduler {
   /// On success `round_trip` has the time since the work was taken.
   ItemPtr answered(std::size_t replica, std::uint64_t sequence, std::chrono::duration<double>& round_trip) {
     ItemPtr item;
+    bool awaited = false;
     {
       const std::lock_guard lock(mutex_);
       Replica& from = replicas_[replica];
@@ -158,8 +191,9 @@ class StageScheduler {
       round_trip = Clock::now() - found->second.sent;
       item = std::move(found->second.item);
       from.outstanding.erase(found);
+      awaited = !pending_.empty();
     }
-    changed_.notify_all();
+    if (awaited) changed_.notify_all();
     return item;
   }
 
@@ -178,7 +212,7 @@ class StageScheduler {
       lock.lock();
       ++next_;
       --inside_;
-      changed_.notify_all();
+      room_.notify_one();
     }
     delivering_ = false;
     finish_if_drained(lock);
@@ -219,23 +253,35 @@ class StageScheduler {
   };
   struct Replica {
     bool live = false;
+    bool sender_sends = false;  ///< what take() returned
+    bool other_sends = false;   ///< what push() returned
     std::map<std::uint64_t, Entry> outstanding;
   };
 
   bool wait_for_room(std::unique_lock<std::mutex>& lock) {
-    changed_.wait(lock, [this] { return stopped_ || inside_ < limits_.replicas * limits_.window; });
+    room_.wait(lock, [this] { return stopped_ || inside_ < limits_.replicas * limits_.window; });
     if (stopped_) return false;
     ++inside_;
     return true;
   }
 
-  bool has_least(std::size_t replica) const {
+  /// Whether it has room, nobody sends to it in its sender's place, and it is the one with the least in flight.
+  bool may_take(std::size_t replica) const {
+    if (!replicas_[replica].live || replicas_[replica].other_sends) return false;
     const std::size_t mine = replicas_[replica].outstanding.size();
     if (mine >= limits_.window) return false;
     for (const Replica& other : replicas_) {
       if (other.live && other.outstanding.size() < mine) return false;
     }
     return true;
+  }
+
+  Work take_next(std::size_t replica) {
+    auto node = pending_.extract(pending_.begin());
+    node.mapped().sent = Clock::now();
+    Work work = node.mapped().item->work;
+    replicas_[replica].outstanding.insert(std::move(node));
+    return work;
   }
 
   void finish_if_drained(std::unique_lock<std::mutex>& lock) {
@@ -249,6 +295,7 @@ class StageScheduler {
   const StageLimits limits_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
+  std::condition_variable room_;
   std::uint64_t next_;
   const Deliver deliver_;
   const std::function<void()> on_drained_;

@@ -136,6 +136,65 @@ TEST_F(StageSchedulerTest, ALostReplicasWorkGoesToTheOther) {
   EXPECT_EQ(*scheduler_->take(1), 0U);
 }
 
+TEST_F(StageSchedulerTest, WhoPushesSendsWhatAReplicaCanTakeAtOnce) {
+  using Direct = StageScheduler<Item>::Direct;
+  make({.replicas = 1, .window = 4});
+  scheduler_->connected(0);
+  Direct first, second;
+  scheduler_->push(item(0), &first);
+  ASSERT_NE(first.work, nullptr);
+  EXPECT_EQ(*first.work, 0U);
+  scheduler_->push(item(1), &second);
+  EXPECT_EQ(second.work, nullptr) << "requests keep their order";
+  std::atomic<bool> taken{false};
+  std::thread sender([&] {
+    EXPECT_EQ(*scheduler_->take(0), 1U);
+    taken = true;
+  });
+  std::this_thread::sleep_for(5ms);
+  EXPECT_FALSE(taken);
+  scheduler_->sent(0);
+  sender.join();
+  scheduler_->push(item(2), &second);
+  EXPECT_EQ(second.work, nullptr) << "the sender may still be sending";
+  EXPECT_EQ(*scheduler_->take(0), 2U);
+  for (const std::uint64_t i : {0, 1, 2}) answer(0, i);
+  EXPECT_EQ(delivered_, (std::vector<std::uint64_t>{0, 1, 2}));
+}
+
+TEST_F(StageSchedulerTest, NobodySendsToAReplicaThatIsNotConnected) {
+  make({.replicas = 1, .window = 4});
+  StageScheduler<Item>::Direct direct;
+  scheduler_->push(item(0), &direct);
+  EXPECT_EQ(direct.work, nullptr);
+  scheduler_->connected(0);
+  scheduler_->push(item(1), &direct);
+  EXPECT_EQ(direct.work, nullptr) << "an older one waits";
+  EXPECT_EQ(*scheduler_->take(0), 0U);
+  EXPECT_EQ(*scheduler_->take(0), 1U);
+}
+
+TEST_F(StageSchedulerTest, AReplicaIsLeftWhenNobodySendsToIt) {
+  make({.replicas = 1, .window = 4});
+  scheduler_->connected(0);
+  StageScheduler<Item>::Direct direct;
+  scheduler_->push(item(0), &direct);
+  ASSERT_NE(direct.work, nullptr);
+  scheduler_->disconnected(0);
+  std::atomic<bool> left{false};
+  std::thread leaving([&] {
+    scheduler_->wait_sent(0);
+    left = true;
+  });
+  std::this_thread::sleep_for(5ms);
+  EXPECT_FALSE(left);
+  scheduler_->sent(0);
+  leaving.join();
+  EXPECT_EQ(scheduler_->broke_off(0), nullptr);
+  scheduler_->connected(0);
+  EXPECT_EQ(*scheduler_->take(0), 0U) << "it is sent again";
+}
+
 TEST_F(StageSchedulerTest, HoldsNoMoreThanTheWindows) {
   make({.replicas = 1, .window = 2});
   scheduler_->connected(0);
