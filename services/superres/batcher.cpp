@@ -1,10 +1,13 @@
 #include "services/superres/batcher.hpp"
 
+#include <algorithm>
 #include <atomic>
 #include <condition_variable>
 #include <deque>
+#include <exception>
 #include <mutex>
-#include <thread>
+#include <utility>
+#include <vector>
 
 #include "common/base/error.hpp"
 
@@ -15,64 +18,53 @@ struct Batcher::State {
     Tensor frames;
     std::shared_ptr<const Tensor> constants;
     int channels;
-    std::promise<Tensor> answer;
+    Tensor answer = {};
+    std::exception_ptr error = {};
+    bool done = false;
     NetworkInput input() const { return {&frames, constants}; }
   };
+  using Batch = std::vector<Request*>;
 
   std::shared_ptr<Engine> engine;
   BatcherOptions options;
   std::atomic<int> sessions{0};
   std::mutex mutex;
-  std::condition_variable wake;
-  std::deque<Request> queue;
-  bool stopping = false;
-  std::thread worker;
+  std::condition_variable arrived, answered;
+  std::deque<Request*> queue;
+  bool inferring = false;
 
-  std::vector<Request> collect() {
-    std::unique_lock lock(mutex);
-    wake.wait(lock, [&] { return stopping || !queue.empty(); });
-    const auto full = [&] { return stopping || queue.size() >= static_cast<std::size_t>(options.largest_batch); };
-    if (sessions.load() > 1) wake.wait_for(lock, options.latency, full);
-    std::vector<Request> batch;
+  /// The next ones of the queue. With the lock.
+  void collect(std::unique_lock<std::mutex>& lock, Batch& batch) {
+    const auto full = [&] { return queue.size() >= static_cast<std::size_t>(options.largest_batch); };
+    if (sessions.load() > 1) arrived.wait_for(lock, options.latency, full);
     while (!queue.empty() && batch.size() < static_cast<std::size_t>(options.largest_batch)) {
-      if (!batch.empty() && (queue.front().frames.shape != batch.front().frames.shape ||
-                             queue.front().channels != batch.front().channels)) {
+      if (!batch.empty() && (queue.front()->frames.shape != batch.front()->frames.shape ||
+                             queue.front()->channels != batch.front()->channels)) {
         break;
       }
-      batch.push_back(std::move(queue.front()));
+      batch.push_back(queue.front());
       queue.pop_front();
     }
-    return batch;
   }
 
-  void answer_one(Request& request) {
+  void answer_one(Request& request) const {
     try {
-      request.answer.set_value(engine->upscale(request.input(), request.channels));
+      request.answer = engine->upscale(request.input(), request.channels);
     } catch (...) {
-      request.answer.set_exception(std::current_exception());
+      request.error = std::current_exception();
     }
   }
 
-  void answer(std::vector<Request>& batch) {
-    if (batch.size() == 1) return answer_one(batch.front());
-    std::vector<NetworkInput> inputs;
-    for (const Request& request : batch) inputs.push_back(request.input());
-    std::vector<Tensor> results;
+  void answer(const Batch& batch) const {
+    if (batch.size() == 1) return answer_one(*batch.front());
     try {
-      results = engine->upscale(inputs, batch.front().channels);
-    } catch (const std::exception&) {
+      std::vector<NetworkInput> inputs;
+      for (const Request* request : batch) inputs.push_back(request->input());
+      std::vector<Tensor> results = engine->upscale(inputs, batch.front()->channels);
+      for (std::size_t i = 0; i < batch.size(); ++i) batch[i]->answer = std::move(results[i]);
+    } catch (...) {
       // One bad image must not spoil the others: each gets its own answer or error.
-      for (Request& request : batch) answer_one(request);
-      return;
-    }
-    for (std::size_t i = 0; i < batch.size(); ++i) batch[i].answer.set_value(std::move(results[i]));
-  }
-
-  void work() {
-    for (;;) {
-      auto batch = collect();
-      if (batch.empty()) return;
-      answer(batch);
+      for (Request* request : batch) answer_one(*request);
     }
   }
 };
@@ -80,32 +72,41 @@ struct Batcher::State {
 Batcher::Batcher(std::shared_ptr<Engine> engine, const BatcherOptions& options) : state_(std::make_shared<State>()) {
   state_->engine = std::move(engine);
   state_->options = options;
-  state_->worker = std::thread([state = state_.get()] { state->work(); });
+  state_->options.largest_batch = std::max(1, options.largest_batch);
 }
 
-Batcher::~Batcher() {
-  {
-    const std::lock_guard lock(state_->mutex);
-    state_->stopping = true;
+Batcher::~Batcher() = default;
+
+Tensor Batcher::upscale(Tensor frames, std::shared_ptr<const Tensor> constants, int channels) {
+  State& state = *state_;
+  State::Request request{std::move(frames), std::move(constants), channels};
+  state.engine->check(request.input());
+  State::Batch batch;
+  batch.reserve(static_cast<std::size_t>(state.options.largest_batch));
+  std::unique_lock lock(state.mutex);
+  if (state.queue.size() >= static_cast<std::size_t>(state.options.queue)) {
+    throw Error(ErrorCode::kResourceExhausted,
+                "super-resolution: " + std::to_string(state.options.queue) + " frames are waiting already");
   }
-  state_->wake.notify_all();
-  state_->worker.join();
-}
-
-std::future<Tensor> Batcher::submit(Tensor frames, std::shared_ptr<const Tensor> constants, int channels) {
-  State::Request request{std::move(frames), std::move(constants), channels, {}};
-  state_->engine->check(request.input());
-  auto future = request.answer.get_future();
-  {
-    const std::lock_guard lock(state_->mutex);
-    if (state_->queue.size() >= static_cast<std::size_t>(state_->options.queue)) {
-      throw Error(ErrorCode::kResourceExhausted,
-                  "super-resolution: " + std::to_string(state_->options.queue) + " frames are waiting already");
+  state.queue.push_back(&request);
+  state.arrived.notify_one();
+  while (!request.done) {
+    if (state.inferring) {
+      state.answered.wait(lock);
+      continue;
     }
-    state_->queue.push_back(std::move(request));
+    state.inferring = true;
+    state.collect(lock, batch);
+    lock.unlock();
+    state.answer(batch);
+    lock.lock();
+    for (State::Request* answered : batch) answered->done = true;
+    batch.clear();
+    state.inferring = false;
+    state.answered.notify_all();
   }
-  state_->wake.notify_all();
-  return future;
+  if (request.error) std::rethrow_exception(request.error);
+  return std::move(request.answer);
 }
 
 std::shared_ptr<void> Batcher::open_session() {

@@ -2,9 +2,7 @@
 #pragma once
 
 #include <chrono>
-#include <future>
 #include <memory>
-#include <vector>
 
 #include "services/superres/engine.hpp"
 
@@ -16,20 +14,21 @@ struct BatcherOptions {
   int queue = 64;                                                    ///< frames waiting at most
 };
 
-/// Runs an Engine on one thread. submit() may be called from any thread. A lone session does not wait: the latency
-/// bound counts only while at least two sessions are open (see open_session).
+/// Runs an Engine in the threads of its callers: whoever comes while nobody infers does so, for those who wait as well.
+/// So a lone frame is handed to no other thread. Nor does a lone session wait: the latency bound counts only while at
+/// least two sessions are open (see open_session).
 class Batcher {
  public:
   Batcher(std::shared_ptr<Engine> engine, const BatcherOptions& options);
-  /// Finishes what is queued.
+  /// When nobody is in upscale() any more.
   ~Batcher();
   Batcher(const Batcher&) = delete;
   Batcher& operator=(const Batcher&) = delete;
 
-  /// Queues a window of frames (T C, h, w) with the session's constants; the future holds the first `channels` of the
-  /// answer (0: all), or the error of its inference. Throws kResourceExhausted if the queue is full, and as
-  /// Engine::check(). A faulty image spoils only its own answer.
-  std::future<Tensor> submit(Tensor frames, std::shared_ptr<const Tensor> constants, int channels = 0);
+  /// The first `channels` (0: all) of the answer to a window of frames (T C, h, w) with the session's constants. From
+  /// any thread; waits for its turn. Throws kResourceExhausted if the queue is full, and as Engine::check() and
+  /// Engine::upscale(). A faulty image spoils only its own answer.
+  Tensor upscale(Tensor frames, std::shared_ptr<const Tensor> constants, int channels = 0);
 
   /// A session counts until the returned token dies.
   std::shared_ptr<void> open_session();

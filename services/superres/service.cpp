@@ -148,7 +148,7 @@ grpc::Status SuperResolutionService::Upscale(
                                                                             v1::ImageFrame* response) {
           Tensor frames;
           from_payload(request.image(), "frame.image", &frames);
-          const Tensor answer = loaded->submit(std::move(frames), constants, channels).get();
+          const Tensor answer = loaded->upscale(std::move(frames), constants, channels);
           response->set_index(request.index());
           response->set_time_s(request.time_s());
           *response->mutable_alignment() = request.alignment();
