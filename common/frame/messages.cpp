@@ -2,6 +2,7 @@
 
 #include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <span>
 
@@ -49,6 +50,17 @@ std::uint16_t to_bfloat16(float value) {
   const auto bits = std::bit_cast<std::uint32_t>(value);
   if ((bits & 0x7fffffffu) > 0x7f800000u) return static_cast<std::uint16_t>((bits >> 16) | 0x40u);
   return static_cast<std::uint16_t>((bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16);
+}
+
+/// Block by block: a string that grows first is filled with zeros first, and that costs as much again.
+template <typename Half, typename Convert>
+void append_halves(const std::vector<float>& values, const Convert& convert, std::string& data) {
+  std::array<Half, 1024> block;
+  for (std::size_t begin = 0; begin < values.size(); begin += block.size()) {
+    const std::size_t count = std::min(block.size(), values.size() - begin);
+    convert(std::span(values).subspan(begin, count), block.data());
+    data.append(reinterpret_cast<const char*>(block.data()), 2 * count);
+  }
 }
 
 std::size_t value_bytes(v1::Tensor::DType dtype) { return dtype == v1::Tensor::DTYPE_FLOAT32 ? 4 : 2; }
@@ -324,21 +336,27 @@ void to_payload(const Tensor& tensor, v1::Tensor::DType dtype, v1::Tensor* messa
   message->clear_channels();
   message->clear_values();
   std::string& data = *message->mutable_data();
-  data.resize(tensor.values.size() * value_bytes(dtype));
-  const auto size = static_cast<Eigen::Index>(tensor.values.size());
+  data.clear();
+  data.reserve(tensor.values.size() * value_bytes(dtype));
   switch (dtype) {
     case v1::Tensor::DTYPE_FLOAT16:
-      Eigen::Map<Eigen::Array<Eigen::half, Eigen::Dynamic, 1>>(reinterpret_cast<Eigen::half*>(data.data()), size) =
-          ConstFloats(tensor.values.data(), size).cast<Eigen::half>();
-      return;
+      return append_halves<Eigen::half>(
+          tensor.values,
+          [](std::span<const float> values, Eigen::half* halves) {
+            const auto size = static_cast<Eigen::Index>(values.size());
+            Eigen::Map<Eigen::Array<Eigen::half, Eigen::Dynamic, 1>>(halves, size) =
+                ConstFloats(values.data(), size).cast<Eigen::half>();
+          },
+          data);
     case v1::Tensor::DTYPE_BFLOAT16:
-      for (std::size_t i = 0; i < tensor.values.size(); ++i) {
-        const std::uint16_t upper = to_bfloat16(tensor.values[i]);
-        std::memcpy(data.data() + 2 * i, &upper, 2);
-      }
-      return;
+      return append_halves<std::uint16_t>(
+          tensor.values,
+          [](std::span<const float> values, std::uint16_t* halves) {
+            std::transform(values.begin(), values.end(), halves, to_bfloat16);
+          },
+          data);
     case v1::Tensor::DTYPE_FLOAT32:
-      std::memcpy(data.data(), tensor.values.data(), data.size());
+      data.append(reinterpret_cast<const char*>(tensor.values.data()), 4 * tensor.values.size());
       return;
     default:
       throw_invalid_argument("tensor: unknown type " + std::to_string(static_cast<int>(dtype)));
