@@ -1,20 +1,13 @@
-// Representations and subdivision on the wire, for every room that hands them on.
+// Subdivision on the wire, for every room that hands it on.
 #pragma once
 
 #include <cstdint>
 #include <optional>
 
 #include "common/mesh/subdivision.hpp"
-#include "pleat/v1/conversion.pb.h"
-#include "pleat/v1/superres.pb.h"
+#include "pleat/v1/common.pb.h"
 
 namespace pleat {
-
-/// What a setup asks for: its representation, or the same made of the older fields. Throws kInvalidArgument if those
-/// contradict each other.
-v1::Representation representation_of(const v1::ConversionSetup& setup);
-/// How conversion has to be set up for a bundle, in the same way.
-v1::Representation representation_of(const v1::ModelDescription& model);
 
 v1::SubdivisionRule to_message(SubdivisionRule rule);
 /// Unset rounds are the default; rounds out of range stay so, for subdivide() to refuse.

@@ -57,7 +57,8 @@ std::string in_words(const std::vector<std::int64_t>& shape) {
 Session::Session(const v1::ConversionSetup& setup, const SessionLimits& limits, RepresentationCache& cache,
                  v1::Tensor::DType dtype)
     : dtype_(dtype) {
-  const v1::Representation wanted = representation_of(setup);
+  if (!setup.has_representation()) throw_invalid_argument("open.setup.representation: missing");
+  const v1::Representation& wanted = setup.representation();
   const RepresentationSpec spec = spec_from(wanted, limits.max_texels);
   const Topology coarse = from_message(setup.coarse(), "open.setup.coarse");
   Topology fine;

@@ -157,7 +157,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   session.model = network ? describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
                                            [&] { return job.cause().has_value(); })
                           : without_model();
-  if (network) session.representation = representation_of(session.model);
+  if (network) session.representation = session.model.representation();
   if (fold) session.fold = fold_open_of(scene);
   session.fold_turn = table_.get(job.id).order;
   if (scene.has_subdivision_rounds()) session.representation.set_subdivision_rounds(scene.subdivision_rounds());

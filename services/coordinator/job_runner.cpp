@@ -115,7 +115,7 @@ JobRecord JobRunner::create(v1::CreateJobRequest request) {
                              .checkpoint = {},
                              .link = link_});
     const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
-    v1::Representation representation = representation_of(model);
+    v1::Representation representation = model.representation();
     if (scene.has_subdivision_rounds()) representation.set_subdivision_rounds(scene.subdivision_rounds());
     admit(coarse.vertex_count(), subdivision_from(representation).rounds, settings_.max_vertices,
           "scene '" + scene.name() + "'");

@@ -110,7 +110,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     session.detail = checked_detail(open.detail(), open.model(), "open.detail");
     if (uses_network(session.detail)) {
       session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
-      session.representation = representation_of(session.model);
+      session.representation = session.model.representation();
     } else {
       session.model = without_model();
     }

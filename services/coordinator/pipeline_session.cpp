@@ -6,7 +6,6 @@
 #include <chrono>
 #include <cmath>
 #include <thread>
-#include <tuple>
 
 #include "common/frame/representation_messages.hpp"
 #include "common/mesh/mesh.hpp"
@@ -40,15 +39,7 @@ Response ask(const std::string& service, const std::vector<std::string>& address
 /// What a bundle has another one of; empty if both make the same frames.
 std::string difference(const v1::ModelDescription& before, const v1::ModelDescription& now) {
   using google::protobuf::util::MessageDifferencer;
-  const auto image = [](const v1::ModelDescription& model) {
-    return std::tuple(model.coarse_width(), model.coarse_height(), model.scale());
-  };
-  if (!MessageDifferencer::Equals(now.normalization(), before.normalization())) return "normalisation";
   if (!MessageDifferencer::Equals(now.representation(), before.representation())) return "representation";
-  if (image(now) != image(before)) return "image size";
-  if (!std::equal(now.channels().begin(), now.channels().end(), before.channels().begin(), before.channels().end())) {
-    return "list of channels";
-  }
   if (now.topology_hash() != before.topology_hash()) return "mesh";
   if (now.architecture() != before.architecture() || now.parameters() != before.parameters()) return "architecture";
   if (now.metadata_json() != before.metadata_json() || now.git_revision() != before.git_revision()) return "training";
@@ -97,12 +88,14 @@ void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, 
 
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
                                     const std::function<bool()>& cancelled) {
-  return ask<v1::ModelDescription>(
+  v1::ModelDescription model = ask<v1::ModelDescription>(
       "superres", addresses.superres, link, cancelled, [&](const auto& channel, auto* context, auto* response) {
         v1::DescribeModelRequest request;
         request.set_model(name);
         return v1::SuperResolution::NewStub(channel)->DescribeModel(context, request, response);
       });
+  if (!model.has_representation()) throw_internal("superres: bundle " + model.model() + " without a representation");
+  return model;
 }
 
 v1::ModelDescription without_model() {

@@ -67,7 +67,7 @@ class Enhancer {
                                    const SubdivisionSpec& subdivision) {
     v1::ConversionSetup setup;
     *setup.mutable_coarse() = to_message(coarse);
-    *setup.mutable_representation() = representation_of(model);
+    *setup.mutable_representation() = model.representation();
     set_subdivision(subdivision, setup.mutable_representation());
     return setup;
   }

@@ -49,14 +49,17 @@ void conversion_seeds(const std::filesystem::path& folder) {
       v1::ConversionSetup setup;
       *setup.mutable_coarse() = to_message(coarse);
       setup.mutable_coarse()->clear_hash();
-      setup.set_subdivision_rounds(rounds);
-      setup.set_scale(2);
-      setup.set_coarse_width(8);
-      setup.set_coarse_height(6);
+      v1::Representation& representation = *setup.mutable_representation();
+      representation.set_subdivision_rounds(rounds);
+      v1::GeometryImage& image_size = *representation.mutable_geometry_image();
+      image_size.set_scale(2);
+      image_size.set_width(8);
+      image_size.set_height(6);
       for (int c = 0; c < 9; ++c) {
-        setup.mutable_normalization()->add_minimum(-1);
-        setup.mutable_normalization()->add_maximum(2);
+        representation.mutable_input()->add_offset(-1);
+        representation.mutable_input()->add_scale(3);
       }
+      *representation.mutable_output() = representation.input();
       const std::string name = "session-" + std::to_string(++count);
       std::vector<v1::ToImageRequest> images(2);
       *images[0].mutable_open()->mutable_setup() = setup;
@@ -78,6 +81,7 @@ void conversion_seeds(const std::filesystem::path& folder) {
   *setup.mutable_fine() = to_message(test::square_sheet(5, 1));
   setup.mutable_coarse()->clear_hash();
   setup.mutable_fine()->clear_hash();
+  setup.mutable_representation()->mutable_geometry_image();
   *own[1].mutable_frame() = to_message(frame_of(test::square_sheet(2, 1), 0, 0));
   write(folder / "to_image" / "own-fine-mesh", own);
 }

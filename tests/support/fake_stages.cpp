@@ -396,7 +396,7 @@ grpc::Status Faults::next_open() {
 
 FakeBundle::FakeBundle() {
   description_.set_model("fake");
-  description_.set_scale(4);
+  description_.mutable_representation()->mutable_geometry_image()->set_scale(4);
   description_.set_device("cpu");
   description_.set_precision("float32");
 }

@@ -36,8 +36,7 @@ class ConversionServer : public testing::Test {
     server_ =
         std::make_unique<rpc::Server>(options, std::vector<rpc::HostedService>{{&service_, "pleat.v1.Conversion"}});
     stub_ = v1::Conversion::NewStub(rpc::create_channel(server_->address()));
-    setup_.set_coarse_width(60);
-    setup_.set_coarse_height(40);
+    set_size(60, 40);
     *setup_.mutable_coarse() = to_message(garment_.coarse);
   }
 
@@ -54,17 +53,23 @@ class ConversionServer : public testing::Test {
     *request.mutable_open()->mutable_setup() = setup_;
     return request;
   }
+  void set_size(std::uint32_t width, std::uint32_t height) {
+    v1::GeometryImage& image = *setup_.mutable_representation()->mutable_geometry_image();
+    image.set_width(width);
+    image.set_height(height);
+  }
   /// Normalises `image` as the service is asked to. Returns how many values are outside.
-  std::size_t set_normalization(const ChannelRanges& range, Tensor& image) {
+  std::size_t set_ranges(const ChannelRanges& range, Tensor& image) {
+    v1::ChannelRanges& input = *setup_.mutable_representation()->mutable_input();
     for (std::size_t c = 0; c < range.channels(); ++c) {
-      setup_.mutable_normalization()->add_minimum(range.offset[c]);
-      setup_.mutable_normalization()->add_maximum(range.offset[c] + range.scale[c]);
+      input.add_offset(range.offset[c]);
+      input.add_scale(range.scale[c]);
     }
-    ChannelRanges sent = range;
-    for (std::size_t c = 0; c < range.channels(); ++c) {
-      sent.scale[c] = (range.offset[c] + range.scale[c]) - range.offset[c];
-    }
-    return normalize(sent, image);
+    *setup_.mutable_representation()->mutable_output() = input;
+    return normalize(range, image);
+  }
+  static v1::GeometryImage& image_of(v1::ConversionSetup& setup) {
+    return *setup.mutable_representation()->mutable_geometry_image();
   }
   v1::ToMeshRequest mesh_open() const {
     v1::ToMeshRequest request;
@@ -101,7 +106,7 @@ TEST_F(ConversionServer, ImagesAreThoseOfTheLibraryAndNormalised) {
   CoarseImage expected = map.coarse_image(frame);
   ChannelRanges range = range_of(expected.image);
   range.scale[0] *= 0.75f;  // so that some values are outside
-  const std::size_t outside = set_normalization(range, expected.image);
+  const std::size_t outside = set_ranges(range, expected.image);
   ASSERT_GT(outside, 0u);
 
   const auto stream = image_stream();
@@ -134,8 +139,7 @@ TEST_F(ConversionServer, BothDirectionsShareTheMaps) {
   image_stream()->open(image_open());
   EXPECT_NE(metrics_.text().find("pleat_cached_maps_total{service=\"conversion\"} 2"), std::string::npos)
       << metrics_.text();
-  setup_.set_coarse_width(30);
-  setup_.set_coarse_height(20);
+  set_size(30, 20);
   EXPECT_EQ(image_stream()->open(image_open()).fine_width(), 120u);
 }
 
@@ -154,7 +158,7 @@ TEST_F(ConversionServer, AFittedImageComesBackAsTheMesh) {
   const Frame coarse = test::wrinkled_frame(garment_.coarse, 0.4f), fine = test::wrinkled_frame(garment_.fine(), 0.4f);
   const RigidTransform transform = map.align(coarse.positions);
   Tensor image = map.fine_image(fine, transform);
-  set_normalization(range_of(image), image);
+  set_ranges(range_of(image), image);
   const auto stream = mesh_stream();
   const auto opened = stream->open(mesh_open());
   EXPECT_EQ(topology_hash(from_message(opened.fine())), topology_hash(garment_.fine()));
@@ -310,19 +314,21 @@ TEST_F(ConversionServer, BadSetupsAreRefused) {
   expect_refused(ErrorCode::kInvalidArgument,
                  [](v1::ConversionSetup& s) { s.mutable_coarse()->set_hash("0123456789abcdef"); });
   expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.mutable_coarse()->set_faces(0, 999999); });
-  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.set_subdivision_rounds(6); });
-  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.set_scale(17); });
-  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.set_coarse_height(0); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { s.clear_representation(); });
   expect_refused(ErrorCode::kInvalidArgument,
-                 [](v1::ConversionSetup& s) { s.mutable_normalization()->add_minimum(0); });
+                 [](v1::ConversionSetup& s) { s.mutable_representation()->set_subdivision_rounds(6); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { image_of(s).set_scale(17); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) { image_of(s).set_height(0); });
+  expect_refused(ErrorCode::kInvalidArgument,
+                 [](v1::ConversionSetup& s) { s.mutable_representation()->mutable_input()->add_offset(0); });
   expect_refused(ErrorCode::kResourceExhausted, [](v1::ConversionSetup& s) {
-    s.set_coarse_width(4'000'000'000u);
-    s.set_coarse_height(4'000'000'000u);
+    image_of(s).set_width(4'000'000'000u);
+    image_of(s).set_height(4'000'000'000u);
   });
   expect_refused(ErrorCode::kResourceExhausted, [](v1::ConversionSetup& s) {
-    s.set_coarse_width(0);
-    s.set_coarse_height(0);
-    s.set_texels_per_fine_vertex(900);
+    image_of(s).set_width(0);
+    image_of(s).set_height(0);
+    image_of(s).set_texels_per_fine_vertex(900);
   });
   EXPECT_NO_THROW(image_stream()->open(image_open()));  // the service goes on serving
 }

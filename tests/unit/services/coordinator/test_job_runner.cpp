@@ -223,12 +223,12 @@ TEST_F(JobsTest, AReplacedBundleFailsTheJobThatMeetsIt) {
   fakes_.simulation().faults.delay(2ms);
   create(100'000, "a");
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 5; }));
-  fakes_.bundle().replace([](v1::ModelDescription& model) { model.mutable_normalization()->add_minimum(-1); });
+  fakes_.bundle().replace([](v1::ModelDescription& model) { model.mutable_representation()->set_window(2); });
   fakes_.superres().stop();
   fakes_.superres().start();
   const v1::Job job = finished("a");
   EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
-  EXPECT_NE(job.error().find("replaced meanwhile by one with another normalisation"), std::string::npos) << job.error();
+  EXPECT_NE(job.error().find("replaced meanwhile by one with another representation"), std::string::npos) << job.error();
   expect_right(job.result_path(), job.frames_complete());
 }
 

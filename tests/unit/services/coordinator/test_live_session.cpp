@@ -129,13 +129,13 @@ TEST_F(LiveSessionTest, AReplacedBundleEndsTheSessionThatMeetsIt) {
   const auto client = open(open_request());
   client->send(frame_request(0));
   expect_frame(client->receive(), 0);
-  fakes_.bundle().replace([](v1::ModelDescription& model) { model.mutable_normalization()->add_minimum(-1); });
+  fakes_.bundle().replace([](v1::ModelDescription& model) { model.mutable_representation()->set_window(2); });
   fakes_.superres().faults.at(1, Faults::Kind::kBreak);
   client->send(frame_request(1));
   EXPECT_EQ(client->receive().message_case(), v1::EnhanceResponse::MESSAGE_NOT_SET);
   const grpc::Status status = client->finish();
   EXPECT_EQ(status.error_code(), grpc::StatusCode::FAILED_PRECONDITION);
-  EXPECT_NE(status.error_message().find("another normalisation; begin anew"), std::string::npos)
+  EXPECT_NE(status.error_message().find("another representation; begin anew"), std::string::npos)
       << status.error_message();
 }
 

@@ -38,8 +38,7 @@ class PipelineTest : public ::testing::Test {
                   {fakes_.refinement().address()},
                   {fakes_.fold().address()}};
     session_.coarse = to_message(coarse_);
-    session_.model.set_model("fake");
-    session_.model.set_scale(4);
+    session_.model = fakes_.bundle().describe();
   }
 
   std::unique_ptr<EnhancementPipeline> make(EnhancementPipeline::Sink sink = {}, LinkOptions link = fast_link()) {
@@ -220,8 +219,7 @@ TEST_F(FoldedPipeline, GoesOnFromWhatWasKept) {
 
 TEST_F(FoldedPipeline, StartsFromTheNetworksAnswer) {
   session_.detail = v1::DETAIL_BOTH;
-  session_.model.set_model("fake");
-  session_.model.set_scale(4);
+  session_.model = fakes_.bundle().describe();
   fakes_.fold().faults.at(3, Faults::Kind::kBreak);
   run(6);
   ASSERT_EQ(out_.size(), 6U);
@@ -235,7 +233,7 @@ TEST_F(FoldedPipeline, StartsFromTheNetworksAnswer) {
 }
 
 TEST_F(PipelineTest, ConversionSaysWhatASessionGets) {
-  session_.representation = representation_of(session_.model);
+  session_.representation = session_.model.representation();
   session_.representation.set_subdivision_rounds(1);
   EXPECT_EQ(session_.representation.geometry_image().scale(), 4U);
   session_.conversion = describe_conversion(addresses_, fast_link(), session_, [] { return false; });
@@ -353,10 +351,8 @@ class ReplacedBundle : public PipelineTest {
 
 TEST_F(ReplacedBundle, EndsTheSessionAndSaysWhatDiffers) {
   using Model = v1::ModelDescription;
-  expect_ended("normalisation", [](Model& m) { m.mutable_normalization()->add_minimum(-1); });
-  expect_ended("normalisation", [](Model& m) { m.mutable_normalization()->set_minimum(0, -2); });
-  expect_ended("image size", [](Model& m) { m.set_coarse_width(60); });
-  expect_ended("list of channels", [](Model& m) { m.add_channels("displacement_x"); });
+  expect_ended("representation", [](Model& m) { m.mutable_representation()->mutable_input()->add_scale(2); });
+  expect_ended("representation", [](Model& m) { m.mutable_representation()->mutable_geometry_image()->set_width(60); });
   expect_ended("mesh", [](Model& m) { m.set_topology_hash("0123456789abcdef"); });
   expect_ended("architecture", [](Model& m) { m.set_parameters(1234); });
   expect_ended("training", [](Model& m) { m.set_metadata_json("{}"); });
@@ -373,7 +369,7 @@ TEST_F(ReplacedBundle, ThatRunsElsewhereIsTheSameBundle) {
 
 TEST_F(ReplacedBundle, BeforeTheFirstStreamEndsTheSession) {
   session_.model = fakes_.bundle().describe();
-  fakes_.bundle().replace([](v1::ModelDescription& m) { m.mutable_normalization()->add_minimum(-1); });
+  fakes_.bundle().replace([](v1::ModelDescription& m) { m.mutable_representation()->set_window(2); });
   const auto pipeline = make();
   EXPECT_EQ(error_of([&] { pipeline->wait_open(); }).code(), ErrorCode::kFailedPrecondition);
 }
