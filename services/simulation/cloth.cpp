@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <string>
 #include <utility>
 
@@ -93,17 +94,23 @@ void Cloth::collect_pins(double time_s, double step_s) {
 }
 
 // Where the obstacles are to be at the end of the step: in their scripted places, or on the way back to them.
-Points Cloth::obstacle_targets(double time_s, double step_s) const {
-  const Points before = contact_.obstacle_particles(time_s);
-  Points targets = contact_.obstacle_particles(time_s + step_s);
+const Points& Cloth::obstacle_targets(double time_s, double step_s) {
+  // Where the script is now is where the last step was to end.
+  if (scripted_time_s_ != time_s) contact_.obstacle_particles(time_s, scripted_);
+  const Points& before = scripted_;
+  Points& targets = targets_;
+  contact_.obstacle_particles(time_s + step_s, targets);
+  scripted_next_ = targets;
   std::size_t first = 0;
   for (const Obstacle& obstacle : scene_.obstacles) {
     const std::size_t last = first + point_count(obstacle);
     double script = 0, way = 0;
     for (std::size_t i = first; i < last; ++i) {
-      script = std::max(script, (targets[i] - before[i]).norm());
-      way = std::max(way, (targets[i] - positions_[vertex_count() + i]).norm());
+      script = std::max(script, (targets[i] - before[i]).squaredNorm());
+      way = std::max(way, (targets[i] - positions_[vertex_count() + i]).squaredNorm());
     }
+    script = std::sqrt(script);
+    way = std::sqrt(way);
     const double farthest = script + kCatchUpSpeed * step_s;
     for (std::size_t i = first; i < last && way > farthest; ++i) {
       const Vector3d& now = positions_[vertex_count() + i];
@@ -111,6 +118,8 @@ Points Cloth::obstacle_targets(double time_s, double step_s) const {
     }
     first = last;
   }
+  std::swap(scripted_, scripted_next_);
+  scripted_time_s_ = time_s + step_s;
   return targets;
 }
 
@@ -128,7 +137,7 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
   }
   pins_.insert(pins_.end(), following.springs.begin(), following.springs.end());
 
-  const Points obstacles = obstacle_targets(time_s, step_s);
+  const Points& obstacles = obstacle_targets(time_s, step_s);
   for (std::size_t o = 0; o < obstacles.size(); ++o) {
     const std::size_t particle = vertex_count() + o;
     velocities_[particle] = (obstacles[o] - positions_[particle]) / step_s;
@@ -145,18 +154,19 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
   step.contacts = forces;
   step.frequency = following.frequency;
   step.targets = following.targets;
-  const Points velocities_before = velocities_;
+  velocities_before_ = velocities_;
   report_.solver_iterations += static_cast<std::uint64_t>(dynamics_.solve(positions_, velocities_, step, pool));
   const auto solve_done = Clock::now();
 
-  Points end(positions_.size());
+  Points& end = end_;
+  end.resize(positions_.size());
   bool inside = true;  // false for NaN as well
   for (std::size_t i = 0; i < vertex_count(); ++i) {
     end[i] = positions_[i] + step_s * velocities_[i];
     inside = inside && end[i].cwiseAbs().maxCoeff() < kFarthest;
   }
   if (!inside || (halvings < kMostHalvings && dynamics_.bursts(positions_, end))) {
-    velocities_ = velocities_before;
+    velocities_ = velocities_before_;
     dynamics_.forget_last_change();
     if (halvings == kMostHalvings) {
       throw Error(ErrorCode::kFailedPrecondition, "scene '" + scene_.name + "': the simulation has diverged at " +
@@ -174,7 +184,7 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
   if (resolution.impacts > 0 || limited) {
     for (std::size_t i = 0; i < vertex_count(); ++i) velocities_[i] = (end[i] - positions_[i]) / step_s;
   }
-  positions_ = std::move(end);
+  std::swap(positions_, end);
 
   const auto done = Clock::now();
   report_.contacts += forces.size();

@@ -95,7 +95,7 @@ class Cloth {
   }
 
  private:
-  Points obstacle_targets(double time_s, double step_s) const;
+  const Points& obstacle_targets(double time_s, double step_s);
   void collect_pins(double time_s, double step_s);
   void advance(double time_s, double step_s, const Following& following, ThreadPool& pool, int halvings);
 
@@ -105,6 +105,10 @@ class Cloth {
   ContactSystem contact_;
   StrainLimits strain_limits_;
   Points positions_, velocities_;  // of all particles
+  // Buffers of a step: its end, what it began with, and the obstacles at its end, where the script has them and where
+  // they get.
+  Points end_, velocities_before_, scripted_, scripted_next_, targets_;
+  double scripted_time_s_ = -1;  // of scripted_
   std::vector<HandleState> handles_;
   std::vector<Pin> pins_;
   std::vector<double> inverse_masses_, free_inverse_masses_;  // with and without the hard handles

@@ -21,6 +21,8 @@ constexpr double kFloor = 2e-6;
 constexpr int kProjectionRounds = 24;
 constexpr int kRigidRounds = 40;
 constexpr int kCutRounds = 100;  // some ten are usual
+// Above, the faces that an edge joins are looked for like all others: some 25 a face are too many to remember.
+constexpr std::size_t kMostJoinedFaces = 100'000;
 
 // The quarter of the mean edge keeps the neighbours of a vertex out of its repulsion layer.
 double repulsion_thickness(const Topology& cloth, const Points& rest, double wanted) {
@@ -181,28 +183,54 @@ void ContactSystem::find_neighbours() {
   for (std::uint32_t f = 0; f < cloth_faces_; ++f) {
     for (const std::uint32_t v : faces_[f]) at_vertex[v].push_back(f);
   }
-  std::vector<std::uint32_t> near;
+  // Face and the one between, the shared vertex before the joining edge.
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> near;
+  const auto add = [&](std::uint32_t f, std::size_t from, bool sharing) {
+    std::sort(near.begin() + static_cast<std::ptrdiff_t>(from), near.end());
+    for (std::size_t i = from; i < near.size(); ++i) {
+      const auto [g, between] = near[i];
+      const bool known = std::any_of(near.begin(), near.begin() + static_cast<std::ptrdiff_t>(i),
+                                     [g = g](const auto& other) { return other.first == g; });
+      if (g <= f || known) continue;
+      bool owns = false;
+      for_each_pair(f, g, false, [&](const Pair&) { owns = true; });
+      if (owns) neighbours_.push_back({f, g, between, -1});
+      if (!sharing) joined_.push_back(g);
+    }
+  };
+  joined_first_.assign(1, 0);
   for (std::uint32_t f = 0; f < cloth_faces_; ++f) {
     near.clear();
     for (const std::uint32_t v : faces_[f]) {
-      for (const std::uint32_t g : at_vertex[v]) {
-        if (g > f) near.push_back(g);
+      for (const std::uint32_t g : at_vertex[v]) near.emplace_back(g, f);
+    }
+    add(f, 0, true);
+    const std::size_t sharing = near.size();
+    for (std::size_t i = 0; i < sharing && cloth_faces_ <= kMostJoinedFaces; ++i) {
+      const std::uint32_t between = near[i].first;
+      for (const std::uint32_t v : faces_[between]) {
+        for (const std::uint32_t g : at_vertex[v]) near.emplace_back(g, between);
       }
     }
-    std::sort(near.begin(), near.end());
-    near.erase(std::unique(near.begin(), near.end()), near.end());
-    for (const std::uint32_t g : near) {
-      Neighbours n{f, g, static_cast<std::uint32_t>(neighbour_pairs_.size()), 0, -1};
-      for_each_pair(f, g, false, [&](const Pair& pair) { neighbour_pairs_.push_back(pair); });
-      n.last = static_cast<std::uint32_t>(neighbour_pairs_.size());
-      if (n.last > n.first) neighbours_.push_back(n);
-    }
+    add(f, sharing, false);
+    joined_.resize((joined_.size() + 7) / 8 * 8, kNone);
+    joined_first_.push_back(static_cast<std::uint32_t>(joined_.size()));
   }
   deformation_.assign(cloth_faces_, 0);
 }
 
+bool ContactSystem::is_joined(std::uint32_t f, std::uint32_t g) const {
+  for (std::uint32_t i = joined_first_[f]; i < joined_first_[f + 1]; i += 8) {
+    bool found = false;
+    for (std::uint32_t k = 0; k < 8; ++k) found |= joined_[i + k] == g;
+    if (found) return true;
+  }
+  return false;
+}
+
 // Two points of faces that share a vertex can't have come closer than the deformation of the two faces since they were
-// last measured: each has moved, relative to the shared vertex, by the change of its face's edge vectors at most.
+// last measured: each has moved, relative to the shared vertex, by the change of its face's edge vectors at most. Where
+// an edge joins the faces its own change counts too.
 void ContactSystem::add_neighbours(const Points& start, const Points& end, ThreadPool& pool) {
   const bool first = pairs_end_.size() != end.size();
   if (first) {
@@ -227,12 +255,12 @@ void ContactSystem::add_neighbours(const Points& start, const Points& end, Threa
     auto& out = results[begin / kGrain];
     for (std::size_t i = begin; i < last; ++i) {
       Neighbours& n = neighbours_[i];
-      const double deformation = deformation_[n.f] + deformation_[n.g];
+      double deformation = deformation_[n.f] + deformation_[n.g];
+      if (n.between != n.f) deformation += deformation_[n.between];
       if (deformation < n.safe_until) continue;
       double clearance = 1e30;
-      for (std::uint32_t p = n.first; p < n.last; ++p) {
-        clearance = std::min(clearance, keep_if_close(neighbour_pairs_[p], start, end, out));
-      }
+      for_each_pair(n.f, n.g, false,
+                    [&](const Pair& pair) { clearance = std::min(clearance, keep_if_close(pair, start, end, out)); });
       n.safe_until = deformation + clearance - reach;
     }
   });
@@ -241,18 +269,27 @@ void ContactSystem::add_neighbours(const Points& start, const Points& end, Threa
 
 // Whether a plane keeps two faces apart for the whole motion, and by more than any pair that is kept: the distance of
 // two points along a fixed direction is linear in time, so that its least value is at the start or at the end. Most
-// faces whose boxes meet lie beside each other on the cloth, and the line between their centres tells.
+// faces whose boxes meet lie beside each other on the cloth, and the line between their centres tells; or one lies
+// under a large face, and that one's normal does.
 bool ContactSystem::apart(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end) const {
   const auto &a = faces_[f], &b = faces_[g];
-  const Vector3d axis = (start[a[0]] + start[a[1]] + start[a[2]] + end[a[0]] + end[a[1]] + end[a[2]]) -
-                        (start[b[0]] + start[b[1]] + start[b[2]] + end[b[0]] + end[b[1]] + end[b[2]]);
-  const auto gap = [&](const Points& x) {
-    const auto along = [&](std::uint32_t v) { return axis.dot(x[v]); };
-    return std::min({along(a[0]), along(a[1]), along(a[2])}) - std::max({along(b[0]), along(b[1]), along(b[2])});
+  const std::array<Vector3d, 3> a0{start[a[0]], start[a[1]], start[a[2]]}, a1{end[a[0]], end[a[1]], end[a[2]]};
+  const std::array<Vector3d, 3> b0{start[b[0]], start[b[1]], start[b[2]]}, b1{end[b[0]], end[b[1]], end[b[2]]};
+  const Vector3d between =
+      a0[0] + a0[1] + a0[2] + a1[0] + a1[1] + a1[2] - (b0[0] + b0[1] + b0[2] + b1[0] + b1[1] + b1[2]);
+  const auto along = [&](const Vector3d& axis) {
+    const auto gap = [&](const std::array<Vector3d, 3>& p, const std::array<Vector3d, 3>& q) {
+      return std::min({axis.dot(p[0]), axis.dot(p[1]), axis.dot(p[2])}) -
+             std::max({axis.dot(q[0]), axis.dot(q[1]), axis.dot(q[2])});
+    };
+    // As in keep_if_close: vertices may yet move by slack_, on either side.
+    const double length = axis.norm();
+    return gap(a0, b0) > length * (2 * slack_ + 2 * kGap) &&
+           gap(a1, b1) > length * (thickness_ + 2 * slack_ + 2 * kGap);
   };
-  // As in keep_if_close: vertices may yet move by slack_, on either side.
-  const double length = axis.norm();
-  return gap(start) > length * (2 * slack_ + 2 * kGap) && gap(end) > length * (thickness_ + 2 * slack_ + 2 * kGap);
+  if (along(between)) return true;
+  const Vector3d normal = (a1[1] - a1[0]).cross(a1[2] - a1[0]);
+  return along(normal.dot(between) < 0 ? Vector3d(-normal) : normal);
 }
 
 void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPool& pool) {
@@ -275,7 +312,7 @@ void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPoo
     auto& out = results[begin / kGrain];
     for (std::size_t p = begin; p < last; ++p) {
       const auto [f, g] = face_pairs[p];
-      if (apart(f, g, start, end)) continue;
+      if (g < cloth_faces_ ? is_joined(f, g) || apart(f, g, start, end) : apart(f, g, start, end)) continue;
       for_each_pair(f, g, true, [&](const Pair& pair) { keep_if_close(pair, start, end, out); });
     }
   });
@@ -497,7 +534,7 @@ bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<c
       }
     }
     if (!solvable || round >= kProjectionRounds + kRigidRounds) return false;
-    const Points before = end;
+    before_ = end;
     if (round < kProjectionRounds) {
       project(impacts, inverse_masses, end);
     } else if (!move_rigidly(impacts, inverse_masses, start, end, result.rigid_zones)) {
@@ -505,7 +542,7 @@ bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<c
     }
     bool far = false;
     for (std::size_t i = 0; i < end.size(); ++i) {
-      changed[i] = end[i] != before[i];
+      changed[i] = end[i] != before_[i];
       far = far || (end[i] - pairs_end_[i]).squaredNorm() > slack_ * slack_;
     }
     // What collided is looked at again even if nothing could move it.
@@ -518,10 +555,10 @@ bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<c
   }
 }
 
-// The last resort can't fail: what collides makes a part of its motion only, at the third collision none of it; an
-// obstacle as a whole. What stands still is as clean as the start was, and in the end everything may stand still.
+// The last resort, from wanted_, can't fail: what collides makes a part of its motion only, at the third collision none
+// of it; an obstacle as a whole. What stands still is as clean as the start was, and in the end everything may stand
+// still.
 void ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
-  const Points wanted = end;
   const auto body = [&](std::uint32_t particle) {
     return particle < cloth_count_ ? particle : first_particle_[obstacle_of(particle)];
   };
@@ -559,7 +596,7 @@ void ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
     part = next;
     for (std::uint32_t i = 0; i < particle_count_; ++i) {
       collisions[i] = static_cast<std::uint8_t>(collisions[i] + hit[i]);
-      end[i] = start[i] + part[body(i)] * (wanted[i] - start[i]);
+      end[i] = start[i] + part[body(i)] * (wanted_[i] - start[i]);
     }
   }
   end = start;
@@ -569,7 +606,7 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
                                   std::span<const double> yielding, ThreadPool& pool) {
   Resolution result;
   std::vector<Impact> impacts;
-  const Points wanted = end;
+  wanted_ = end;
   if (resolve_rounds(start, end, inverse_masses, pool, impacts, result)) return result;
   // What the rounds have made of it may be far out: every further attempt begins anew. Handles that met something give
   // way; then those too that come into it now.
@@ -585,10 +622,10 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
     }
     if (!gives_way) break;
     result.yielded = true;
-    end = wanted;
+    end = wanted_;
     if (resolve_rounds(start, end, masses, pool, impacts, result)) return result;
   }
-  end = wanted;
+  end = wanted_;
   cut(start, end, pool);
   result.cut = true;
   return result;

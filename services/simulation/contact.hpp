@@ -66,6 +66,8 @@ class ContactSystem {
 
   /// Particle positions of the obstacles in their scripted places at a time, in particle order from cloth_count() on.
   Points obstacle_particles(double time_s) const;
+  /// The same into memory that is reused.
+  void obstacle_particles(double time_s, Points& particles) const;
 
   /// Throws kInvalidArgument, naming faces and obstacles, unless the positions (all particles) are free of
   /// self-intersections and penetrations with some clearance.
@@ -122,6 +124,7 @@ class ContactSystem {
   bool apart(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end) const;
   double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
   void find_neighbours();
+  bool is_joined(std::uint32_t f, std::uint32_t g) const;
   void add_neighbours(const Points& start, const Points& end, ThreadPool& pool);
   SweptBox face_box(std::uint32_t f) const;
   void project(std::vector<Impact>& impacts, std::span<const double> inverse_masses, Points& end) const;
@@ -151,21 +154,25 @@ class ContactSystem {
   double thickness_ = 0;
   double slack_ = 0;  // metres that vertices may move after find_pairs before the pairs must be found again
 
-  // Pairs of cloth faces that share a vertex are always near each other, and rarely in danger. Each remembers how far
-  // its faces may deform (deformation_ of both together) before it must be looked at again.
+  // Pairs of cloth faces that share a vertex, or have vertices that an edge joins, are always near each other, and
+  // rarely in danger. Each remembers how far its faces and the one between them may deform (deformation_ of all
+  // together) before it must be looked at again.
   struct Neighbours {
     std::uint32_t f, g;
-    std::uint32_t first, last;  // into neighbour_pairs_
+    std::uint32_t between;  // a face with the edge; f where they share a vertex
     double safe_until;
   };
   std::vector<Neighbours> neighbours_;
-  std::vector<Pair> neighbour_pairs_;
+  // Of each face, those later ones that an edge joins to it, eight by eight, filled up with kNone.
+  std::vector<std::uint32_t> joined_, joined_first_;
   std::vector<double> deformation_;  // per cloth face: largest change of an edge vector, summed over find_pairs calls
 
   SweptBvh cloth_bvh_, obstacle_bvh_;
   std::vector<SweptBox> boxes_;  // of all particles
   std::vector<Pair> pairs_;
   Points pairs_end_;  // the end positions for which pairs_ was found
+  // What resolve() was asked for, and what its last round began with.
+  Points wanted_, before_;
 };
 
 }  // namespace pleat::simulation

@@ -8,12 +8,16 @@ namespace pleat::simulation {
 
 Points ContactSystem::obstacle_particles(double time_s) const {
   Points particles;
-  particles.reserve(particle_count_ - cloth_count_);
-  for (const Obstacle& obstacle : scene_.obstacles) {
-    const Points points = points_at(obstacle, time_s);
-    particles.insert(particles.end(), points.begin(), points.end());
-  }
+  obstacle_particles(time_s, particles);
   return particles;
+}
+
+void ContactSystem::obstacle_particles(double time_s, Points& particles) const {
+  particles.resize(particle_count_ - cloth_count_);
+  for (std::size_t o = 0; o < scene_.obstacles.size(); ++o) {
+    const std::size_t first = first_particle_[o] - cloth_count_, last = first_particle_[o + 1] - cloth_count_;
+    points_at(scene_.obstacles[o], time_s, std::span(particles).subspan(first, last - first));
+  }
 }
 
 // The distance of a segment from a face, while it does not pass through it, is that of an end from the face or that of

@@ -110,6 +110,12 @@ std::size_t point_count(const Obstacle& obstacle) {
 }
 
 std::vector<Vector3d> points_at(const Obstacle& obstacle, double time_s) {
+  std::vector<Vector3d> points(point_count(obstacle));
+  points_at(obstacle, time_s, points);
+  return points;
+}
+
+void points_at(const Obstacle& obstacle, double time_s, std::span<Vector3d> points) {
   const Animation& animation = obstacle.animation;
   if (!animation.samples.empty()) {
     const auto last = static_cast<double>(animation.samples.size() - 1);
@@ -117,21 +123,20 @@ std::vector<Vector3d> points_at(const Obstacle& obstacle, double time_s) {
     const auto before = static_cast<std::size_t>(sample);
     const std::size_t after = std::min(before + 1, animation.samples.size() - 1);
     const double fraction = sample - static_cast<double>(before);
-    std::vector<Vector3d> points(point_count(obstacle));
     for (std::size_t i = 0; i < points.size(); ++i) {
       const auto row = static_cast<Eigen::Index>(i);
       points[i] = (1 - fraction) * animation.samples[before].row(row).cast<double>().transpose() +
                   fraction * animation.samples[after].row(row).cast<double>().transpose();
     }
-    return points;
+    return;
   }
-  std::vector<Vector3d> points = rest_points(obstacle);
-  if (obstacle.motion.keys.empty()) return points;
+  const std::vector<Vector3d> rest = rest_points(obstacle);
+  std::copy(rest.begin(), rest.end(), points.begin());
+  if (obstacle.motion.keys.empty()) return;
   Vector3d pivot = Vector3d::Zero();
   for (const Vector3d& p : points) pivot += p / static_cast<double>(points.size());
   const Pose pose = pose_at(obstacle.motion, pivot, time_s);
   for (Vector3d& p : points) p = pose.apply(p);
-  return points;
 }
 
 ObstacleShape shape_of(const Obstacle& obstacle) {

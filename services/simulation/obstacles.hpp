@@ -19,6 +19,8 @@ std::size_t point_count(const Obstacle& obstacle);
 
 /// Where the script puts the points at a time. O(points).
 std::vector<Eigen::Vector3d> points_at(const Obstacle& obstacle, double time_s);
+/// The same into point_count() points that are there.
+void points_at(const Obstacle& obstacle, double time_s, std::span<Eigen::Vector3d> points);
 
 ObstacleShape shape_of(const Obstacle& obstacle);
 
