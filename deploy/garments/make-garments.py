@@ -17,9 +17,9 @@ from panels import sew
 # name: rings from the waist to the hem, heights of both (m), circumference of the hem (m), and what must come out:
 # vertices, Euler characteristic, boundary edges.
 SKIRTS = {
-    "long-skirt": ([60, 64, 67, 71, 75, 79, 83, 87, 90, 94, 98, 102, 107, 111, 115], 1.0, 0.16, 2.6, (1303, 0, 175)),
-    "skirt-219": ([24, 28, 31, 32, 33, 35, 36], 1.0, 0.5, 1.75, (219, 0, 60)),
-    "skirt-127": ([20, 26, 27, 27, 27], 1.0, 0.6, 1.45, (127, 0, 47)),
+    "long-skirt": ([60, 64, 67, 71, 75, 79, 83, 87, 90, 94, 98, 102, 107, 111, 115], 1.03, 0.19, 2.6, (1303, 0, 175)),
+    "skirt-219": ([24, 28, 31, 32, 33, 35, 36], 1.03, 0.53, 1.75, (219, 0, 60)),
+    "skirt-127": ([20, 26, 27, 27, 27], 1.03, 0.63, 1.45, (127, 0, 47)),
 }
 # Outlines of a panel seen from the front, from one end of an opening on, counter-clockwise: (points, edges, is an
 # opening). name: right half mirrored to the left, height z of the seams, inner points of front and back, what comes out.
@@ -45,20 +45,22 @@ SEWN = {
     "t-shirt": (T_SHIRT, lambda p: 0.03, (76, 76), (246, -2, 60)),
     "trousers": (TROUSERS, lambda p: 0.035, (59, 60), (200, -1, 32)),
 }
-CLEARANCE = 0.012  # of the waist from the body, metres
+CLEARANCE = 0.012  # of sewn garments from the body, metres
+# Skirts hang on their waist: so near the body at its narrowest that it can't slip over the hips.
+WAIST_CLEARANCE = 0.005
 
 
 def ring_at(body, height, circumference):
     """A loop around the body at that height with that circumference, evenly outside the hull of the section."""
     points = body.section(height)
-    distance = CLEARANCE
+    distance = WAIST_CLEARANCE
     for _ in range(50):  # the length of an offset hull grows by 2 pi a metre
         distance += (circumference - length_of(offset_hull(points, distance))) / (2 * np.pi)
     return offset_hull(points, distance), distance
 
 
 def make_skirt(body, counts, top, bottom, hem):
-    waist = length_of(offset_hull(body.section(top), CLEARANCE))
+    waist = length_of(offset_hull(body.section(top), WAIST_CLEARANCE))
     heights = np.linspace(top, bottom, len(counts))
     vertices, flat = [], []
     # A sector of a cone: circumference and distance from the waist grow together.
@@ -66,7 +68,7 @@ def make_skirt(body, counts, top, bottom, hem):
     angle, inner = (hem - waist) / slant, waist * slant / (hem - waist)
     for count, height, part in zip(counts, heights, np.linspace(0, 1, len(counts))):
         loop, distance = ring_at(body, height, waist + part * (hem - waist))
-        assert distance > 0.008, f"the ring at {height:.2f} m is too tight ({distance * 1000:.0f} mm)"
+        assert distance > 0.004, f"the ring at {height:.2f} m is too tight ({distance * 1000:.0f} mm)"
         ring = resampled(loop, count)
         vertices += [[x, height, z] for x, z in ring]
         radius = inner + part * slant
