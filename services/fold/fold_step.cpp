@@ -22,16 +22,18 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// One iteration a step leaves bending softer than it is; by this factor the fine tablecloth wrinkles as one that is
-// simulated in steps of 10 ms (bench_fold_step).
-constexpr float kBending = 3;
-constexpr double kMostSteps = 1000;  // in a frame: it must end
-constexpr int kPullEvery = 4;        // steps
+// By this factor the fine tablecloth wrinkles as one that is simulated in steps of 5 ms (bench_fold_step).
+constexpr float kBending = 0.8f;
+// Damping in proportion to stiffness, of stretching and bending. Cloth loses as much within itself; without it a jerk
+// leaves small folds where the cloth is taut.
+constexpr float kElasticDamping = 2.5e-3f;  // s
+constexpr double kMostSteps = 1000;         // in a frame: it must end
+constexpr int kPullEvery = 4;               // steps
 // What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
 // less, what is around.
 constexpr float kTangleFrequency = 60;
 constexpr int kTangleRings = 3;
-constexpr float kDetailDamping = 10;  // 1/s, of motion beside the coarse cloth's
+constexpr float kDetailDamping = 4;  // 1/s, of motion beside the coarse cloth's
 constexpr std::size_t kMostTangles = 20'000;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
@@ -75,28 +77,28 @@ struct FoldStep::Work {
   Subdivision subdivision;
   std::uint32_t count, coarse_count;
   int steps;
-  float step_s, frame_s;
+  float step_s, frame_s, ahead;
   ObstacleField obstacles;
   LayerFinder layers;
   SelfIntersectionFinder tangles;
   std::vector<float> masses;  // kg per fine vertex
   Tracking tracking;
 
-  // A level's springs act on the first vertices of the fine mesh, and finer ones follow along the halved edges.
+  // A level's faces act on the first vertices of the fine mesh, and finer ones follow along the halved edges.
   struct Level {
     std::uint32_t size;
     std::vector<float> inverse_masses;
-    SpringPacks springs;
+    FacePacks faces;
   };
   std::vector<Level> levels;  // the coarsest first, without the finest
-  SpringPacks springs;
+  FacePacks faces;
   HingePacks hinges;
   std::vector<float> inverse_masses;
   std::vector<char> fixed, fixed_before;
   std::vector<std::uint32_t> pins;
 
   // One more than there are vertices, as scratch place of packs.
-  std::vector<Float4> x, v, before, from, way, given, normals, moved;
+  std::vector<Float4> x, v, before, expected, from, way, given, normals, moved;
   std::span<const LayerContact> layer_contacts;
   std::vector<FacePair> pairs;
   std::vector<float> tangled, wider;
@@ -112,6 +114,7 @@ struct FoldStep::Work {
         steps(static_cast<int>(std::max(std::ceil(o.frame_time_s / o.step_s - 1e-9), 1.0))),
         step_s(static_cast<float>(o.frame_time_s / steps)),
         frame_s(static_cast<float>(o.frame_time_s)),
+        ahead(kElasticDamping / step_s),
         obstacles(shapes),
         layers(c, s),
         tangles(s.fine.faces, s.fine.vertex_count(), c.faces),
@@ -122,9 +125,9 @@ struct FoldStep::Work {
       Level& level = levels.emplace_back();
       level.size = s.level_sizes[round];
       for (const float mass : lumped_masses(mesh, o.material.density)) level.inverse_masses.push_back(1 / mass);
-      level.springs = SpringPacks(edge_springs(mesh, o.material), count);
+      level.faces = FacePacks(stretch_faces(mesh, o.material), count);
     }
-    springs = SpringPacks(edge_springs(s.fine, o.material), count);
+    faces = FacePacks(stretch_faces(s.fine, o.material), count);
     std::vector<Hinge> bending = edge_hinges(s.fine, o.material);
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
     hinges = HingePacks(std::move(bending), count);
@@ -132,7 +135,8 @@ struct FoldStep::Work {
     tangled.assign(count, 0);
     fixed.assign(count, 0);
     fixed_before.assign(count, 1);  // so that the first frame sets the step
-    for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
+    for (auto* buffer : {&x, &v, &before, &expected, &from, &way, &given, &normals, &moved})
+      buffer->assign(count + 1, Float4{});
   }
 
   void check(const FoldFrame& frame, const FoldState& state) const {
@@ -172,13 +176,13 @@ struct FoldStep::Work {
     if (fixed == fixed_before) return;
     fixed_before = fixed;
     std::vector<float> mobile(inverse_masses);
-    for (const std::uint32_t i : pins) mobile[i] = 0;
-    springs.set_step(mobile, step_s);
+    for (std::uint32_t i = 0; i < count; ++i) mobile[i] = fixed[i] ? 0 : (1 + ahead) * mobile[i];
+    faces.set_step(mobile, step_s);
     hinges.set_step(mobile, step_s);
     for (Level& level : levels) {
       std::vector<float> mobile_level(level.inverse_masses);
-      for (std::uint32_t i = 0; i < level.size; ++i) mobile_level[i] = fixed[i] ? 0 : mobile_level[i];
-      level.springs.set_step(mobile_level, step_s);
+      for (std::uint32_t i = 0; i < level.size; ++i) mobile_level[i] = fixed[i] ? 0 : (1 + ahead) * mobile_level[i];
+      level.faces.set_step(mobile_level, step_s);
     }
   }
 
@@ -209,17 +213,17 @@ struct FoldStep::Work {
     const bool all = tangles.find(positions, kMostTangles, pairs);
     std::fill(tangled.begin(), tangled.end(), all ? 0.0f : 1.0f);
     if (pairs.empty() || !all) return;
-    const Faces& faces = subdivision.fine.faces;
+    const Faces& corners = subdivision.fine.faces;
     for (const FacePair& pair : pairs) {
       for (const std::uint32_t face : {pair[0], pair[1]}) {
-        for (int k = 0; k < 3; ++k) tangled[faces(face, k)] = 1;
+        for (int k = 0; k < 3; ++k) tangled[corners(face, k)] = 1;
       }
     }
     for (int round = 0; round < kTangleRings; ++round) {
       wider = tangled;
-      for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-        const float most = 0.7f * std::max({tangled[faces(f, 0)], tangled[faces(f, 1)], tangled[faces(f, 2)]});
-        for (int k = 0; k < 3; ++k) wider[faces(f, k)] = std::max(wider[faces(f, k)], most);
+      for (Eigen::Index f = 0; f < corners.rows(); ++f) {
+        const float most = 0.7f * std::max({tangled[corners(f, 0)], tangled[corners(f, 1)], tangled[corners(f, 2)]});
+        for (int k = 0; k < 3; ++k) wider[corners(f, k)] = std::max(wider[corners(f, k)], most);
       }
       std::swap(tangled, wider);
     }
@@ -227,11 +231,11 @@ struct FoldStep::Work {
 
   void find_normals() {
     std::fill(normals.begin(), normals.end(), Float4{});
-    const Faces& faces = subdivision.fine.faces;
-    for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-      const Float4 corner = x[faces(f, 0)];
-      const Float4 area = cross(x[faces(f, 1)] - corner, x[faces(f, 2)] - corner);
-      for (int k = 0; k < 3; ++k) normals[faces(f, k)] += area;
+    const Faces& corners = subdivision.fine.faces;
+    for (Eigen::Index f = 0; f < corners.rows(); ++f) {
+      const Float4 corner = x[corners(f, 0)];
+      const Float4 area = cross(x[corners(f, 1)] - corner, x[corners(f, 2)] - corner);
+      for (int k = 0; k < 3; ++k) normals[corners(f, k)] += area;
     }
     for (Float4& normal : normals) normal /= std::sqrt(dot(normal, normal)) + 1e-20f;
   }
@@ -308,13 +312,25 @@ struct FoldStep::Work {
     const auto& ends = subdivision.halved_edges;
     for (const Level& level : levels) {
       for (std::uint32_t i = 0; i < level.size; ++i) moved[i] = -x[i];
-      level.springs.solve(x, true);
+      level.faces.solve(x, true);
       for (std::uint32_t i = 0; i < level.size; ++i) moved[i] += x[i];
       for (std::uint32_t i = level.size; i < count; ++i) {
         moved[i] = 0.5f * (moved[ends[i][0]] + moved[ends[i][1]]);
         x[i] += moved[i];
       }
     }
+  }
+
+  // Damped by the time T, a constraint C in a step h acts as C + T dC/dt would: with the positions T / h steps ahead,
+  // in which everything is 1 + T / h times as mobile. What the cloth moves with the coarse one isn't damped.
+  void look_ahead() {
+    for (std::uint32_t i = 0; i < count; ++i) {
+      expected[i] = before[i] + way[i] / static_cast<float>(steps);
+      x[i] += ahead * (x[i] - expected[i]);
+    }
+  }
+  void look_back() {
+    for (std::uint32_t i = 0; i < count; ++i) x[i] = (x[i] + ahead * expected[i]) / (1 + ahead);
   }
 
   void step(int index, bool guided, bool restarted) {
@@ -350,10 +366,12 @@ struct FoldStep::Work {
       x[i] += step_s * v[i];
     }
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
+    look_ahead();
     solve_levels();
-    for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
-    springs.solve(x, false);
+    faces.solve(x, false);
     hinges.solve(x);
+    look_back();
+    for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
     sort_layers();
     keep_out();
     for (std::uint32_t i = 0; i < count; ++i) v[i] = (x[i] - before[i]) / step_s;

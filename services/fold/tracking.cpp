@@ -1,16 +1,19 @@
 #include "services/fold/tracking.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "common/mesh/connectivity.hpp"
+#include "services/fold/lanes.hpp"
 
 namespace pleat::fold {
 namespace {
 
-// The coarse cloth's motion at large, averages over many rings, is followed with this frequency (rad/s), critically
-// damped: what acts on the cloth there (weight, wind, whatever moved it) is the coarse cloth's affair.
-constexpr float kLargeFrequency = 8;
+// At large, in averages over many rings, the coarse cloth is followed as well: what acts on the cloth there (weight,
+// wind, whatever moved it) is the coarse cloth's affair. Where it is near, only its motion; as it gets farther, its
+// place too, with a frequency that grows to kLargeFrequency (rad/s) at kLargeLack (m). At least critically damped.
+constexpr float kLargeFrequency = 16, kLargeLack = 0.2f, kLargeDamping = 16;
 constexpr int kLargeRounds = 8;
 
 }  // namespace
@@ -53,7 +56,9 @@ void Tracking::begin() {
 
 void Tracking::finish(float frequency) {
   for (std::size_t c = 0; c < averages_.size(); ++c) {
-    large_[c] = kLargeFrequency * kLargeFrequency * averages_[c] + 2 * kLargeFrequency * large_[c];
+    const float lack = std::sqrt(dot(averages_[c], averages_[c]));
+    const float large = kLargeFrequency * std::min(1.0f, lack / kLargeLack);
+    large_[c] = large * large * averages_[c] + std::max(kLargeDamping, 2 * large) * large_[c];
     averages_[c] *= frequency * frequency;
   }
   for (int round = 0; round < kLargeRounds; ++round) {

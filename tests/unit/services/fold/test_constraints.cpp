@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/LU>
 #include <cmath>
 #include <numbers>
 #include <numeric>
@@ -37,18 +38,16 @@ TEST_F(ConstraintsTest, MassesAreThoseOfTheSheet) {
 
 TEST_F(ConstraintsTest, NothingMovesAtRest) {
   const std::vector<Float4> before = x;
-  SpringPacks springs(edge_springs(mesh, material), count);
+  FacePacks faces(stretch_faces(mesh, material), count);
   HingePacks hinges(edge_hinges(mesh, material), count);
-  springs.set_step(inverse_masses, 0.002f);
+  faces.set_step(inverse_masses, 0.002f);
   hinges.set_step(inverse_masses, 0.002f);
-  springs.solve(x, false);
+  faces.solve(x, false);
   hinges.solve(x);
   for (std::uint32_t v = 0; v < count; ++v) EXPECT_LT(length(x[v] - before[v]), 1e-6f);
 }
 
-TEST_F(ConstraintsTest, AnEdgeHasOneSpringAndAPackNoVertexTwice) {
-  const auto springs = edge_springs(mesh, material);
-  EXPECT_EQ(springs.size(), build_connectivity(mesh.vertex_count(), mesh.faces).edges.size());
+TEST_F(ConstraintsTest, APackHasNoVertexTwice) {
   const auto hinges = edge_hinges(mesh, material);
   std::size_t packed = 0;
   for (const auto& members : independent_packs(std::span<const Hinge>(hinges))) {
@@ -61,25 +60,114 @@ TEST_F(ConstraintsTest, AnEdgeHasOneSpringAndAPackNoVertexTwice) {
   EXPECT_EQ(packed, hinges.size());
 }
 
-// XPBD's first iteration: the error shrinks by the share of the compliance, momentum stays.
-TEST_F(ConstraintsTest, ASpringMovesItsEndsByTheirMobility) {
-  const std::vector<Spring> one{{{0, 1}, 0.1f, 50.0f, 50.0f}};
-  const std::vector<float> mobility{2000, 1000};
-  std::vector<Float4> y{Float4{}, Float4{0, 0.13f, 0, 0}, Float4{}};
-  SpringPacks springs(one, 2);
-  springs.set_step(mobility, 0.01f);
-  springs.solve(y, false);
-  const float lambda = 0.03f / (3000 + 1 / (50 * 1e-4f));
-  EXPECT_NEAR(y[0][1], 2000 * lambda, 1e-7);
-  EXPECT_NEAR(y[1][1], 0.13f - 1000 * lambda, 1e-7);
-  // A compressed one is left alone if only stretched ones are to be solved, and a fixed end does not move.
-  y = {Float4{}, Float4{0, 0.05f, 0, 0}, Float4{}};
-  springs.solve(y, true);
-  EXPECT_EQ(y[1][1], 0.05f);
-  springs.set_step(std::vector<float>{0, 1000}, 0.01f);
-  springs.solve(y, false);
-  EXPECT_EQ(y[0][1], 0);
-  EXPECT_GT(y[1][1], 0.05f);
+/// One face with moduli of its own.
+class FaceTest : public testing::Test {
+ protected:
+  static constexpr float kStep = 0.003f;
+  FaceTest() : face{{0, 1, 2}, {70, -20}, {-10, 60}, 1.5e-4f, {40, 12, 70, 30}, {40, 12, 70, 30}} {}
+
+  static Eigen::Vector3d at(Float4 p) { return {double{p[0]}, double{p[1]}, double{p[2]}}; }
+  static Eigen::Vector3d strains(const Face& f, const std::vector<Float4>& y) {
+    const Eigen::Vector3d e1 = at(y[1]) - at(y[0]), e2 = at(y[2]) - at(y[0]);
+    const Eigen::Vector3d u = double{f.du[0]} * e1 + double{f.du[1]} * e2,
+                          v = double{f.dv[0]} * e1 + double{f.dv[1]} * e2;
+    return {(u.squaredNorm() - 1) / 2, (v.squaredNorm() - 1) / 2, u.dot(v) / 2};
+  }
+  // Positions at which the face has the deformation gradient (x_u, x_v).
+  std::vector<Float4> placed(const Eigen::Vector3d& u, const Eigen::Vector3d& v) const {
+    Eigen::Matrix2d inverse;
+    inverse << double{face.du[0]}, double{face.dv[0]}, double{face.du[1]}, double{face.dv[1]};
+    Eigen::Matrix<double, 3, 2> gradient;
+    gradient << u, v;
+    const Eigen::Matrix<double, 3, 2> edges = gradient * inverse.inverse();
+    const Eigen::Vector3d corner(0.3, -0.2, 0.1);
+    return {to_float4(corner), to_float4(corner + edges.col(0)), to_float4(corner + edges.col(1)), Float4{}};
+  }
+
+  Face face;
+  const std::vector<float> mobility{9000, 7000, 12000};
+};
+
+// XPBD with the strains' derivatives by central differences and a dense solve.
+TEST_F(FaceTest, MovesItsCornersByTheStrainsTogether) {
+  std::vector<Float4> y = placed({1.08, 0.1, -0.05}, {0.12, 0.2, 0.99});
+  Eigen::Matrix<double, 3, 9> jacobian;
+  for (int k = 0; k < 9; ++k) {
+    const auto shifted = [&](float by) {
+      std::vector<Float4> z = y;
+      z[static_cast<std::size_t>(k / 3)][k % 3] += by;
+      return strains(face, z);
+    };
+    const float d = 1e-4f;
+    const float there = y[static_cast<std::size_t>(k / 3)][k % 3];
+    jacobian.col(k) = (shifted(d) - shifted(-d)) / double{(there + d) - (there - d)};
+  }
+  Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
+  stiffness << double{face.rest.c11}, double{face.rest.c12}, 0, double{face.rest.c12}, double{face.rest.c22}, 0, 0, 0,
+      2 * double{face.rest.c33};
+  stiffness *= double{face.area} * double{kStep} * double{kStep};
+  Eigen::Matrix<double, 9, 1> w;
+  for (int k = 0; k < 9; ++k) w[k] = double{mobility[static_cast<std::size_t>(k / 3)]};
+  const Eigen::Matrix3d system = jacobian * w.asDiagonal() * jacobian.transpose() + stiffness.inverse();
+  const Eigen::Matrix<double, 9, 1> move =
+      -(w.asDiagonal() * jacobian.transpose() * system.inverse()) * strains(face, y);
+  const std::vector<Float4> before = y;
+  FacePacks packs({face}, 3);
+  packs.set_step(mobility, kStep);
+  packs.solve(y, false);
+  ASSERT_GT(move.norm(), 1e-4);
+  for (int k = 0; k < 9; ++k) {
+    const auto corner = static_cast<std::size_t>(k / 3);
+    EXPECT_NEAR(double{y[corner][k % 3]} - double{before[corner][k % 3]}, move[k], 2e-3 * move.norm()) << k;
+  }
+}
+
+TEST_F(FaceTest, OnlyItsStretchIsSolvedIfAsked) {
+  FacePacks packs({face}, 3);
+  packs.set_step(mobility, kStep);
+  // Too short every way: it stays.
+  std::vector<Float4> y = placed({0.9, 0, 0}, {0.02, 0, 0.95}), before = y;
+  packs.solve(y, true);
+  for (std::size_t k = 0; k < 3; ++k) EXPECT_LT((at(y[k]) - at(before[k])).norm(), 1e-6);
+  packs.solve(y, false);
+  EXPECT_GT((at(y[0]) - at(before[0])).norm(), 1e-5);
+  // Too long every way: as if not asked.
+  y = placed({1.1, 0, 0}, {0.02, 0, 1.05});
+  std::vector<Float4> both = y;
+  packs.solve(y, true);
+  packs.solve(both, false);
+  for (std::size_t k = 0; k < 3; ++k) EXPECT_LT((at(y[k]) - at(both[k])).norm(), 1e-6);
+}
+
+TEST_F(FaceTest, FixedCornersStay) {
+  FacePacks packs({face}, 3);
+  packs.set_step(std::vector<float>{0, 7000, 0}, kStep);
+  std::vector<Float4> y = placed({1.1, 0, 0}, {0.02, 0, 1.05}), before = y;
+  packs.solve(y, false);
+  EXPECT_EQ(at(y[0]), at(before[0]));
+  EXPECT_EQ(at(y[2]), at(before[2]));
+  EXPECT_NE(at(y[1]), at(before[1]));
+}
+
+// Pulled along u, a sheet without c12 keeps its width: springs along the edges would make it narrower.
+TEST_F(ConstraintsTest, APulledSheetWithoutCrossModulusKeepsItsWidth) {
+  FacePacks faces(stretch_faces(mesh, material), count);
+  std::vector<float> mobile = inverse_masses;
+  for (std::uint32_t v = 0; v < count; ++v) {
+    if (std::abs(x[v][0]) < 0.299f) continue;
+    x[v][0] *= 1.1f;
+    mobile[v] = 0;
+  }
+  const std::vector<Float4> start = x;
+  faces.set_step(mobile, 0.001f);  // so short that passes descend the energy
+  for (int k = 0; k < 4000; ++k) faces.solve(x, false);
+  float stretched = 0, narrowed = 0;
+  for (std::uint32_t v = 0; v < count; ++v) {
+    stretched = std::max(stretched, std::abs(x[v][0] - start[v][0]));
+    narrowed = std::max({narrowed, std::abs(x[v][1] - start[v][1]), std::abs(x[v][2] - start[v][2])});
+  }
+  EXPECT_GT(stretched, 0.01f);
+  EXPECT_LT(narrowed, 0.1f * stretched);
 }
 
 // The length of a hinge's sum is the angle between its faces, wherever the hinge is and however it is turned.
