@@ -13,6 +13,7 @@
 #include "common/mesh/connectivity.hpp"
 #include "services/fold/constraints.hpp"
 #include "services/fold/layers.hpp"
+#include "services/fold/levels.hpp"
 #include "services/fold/tracking.hpp"
 #include "services/refinement/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
@@ -84,13 +85,7 @@ struct FoldStep::Work {
   std::vector<float> masses;  // kg per fine vertex
   Tracking tracking;
 
-  // A level's faces act on the first vertices of the fine mesh, and finer ones follow along the halved edges.
-  struct Level {
-    std::uint32_t size;
-    std::vector<float> inverse_masses;
-    FacePacks faces;
-  };
-  std::vector<Level> levels;  // the coarsest first, without the finest
+  CoarserLevels levels;
   FacePacks faces;
   HingePacks hinges;
   std::vector<float> inverse_masses;
@@ -119,14 +114,8 @@ struct FoldStep::Work {
         layers(c, s),
         tangles(s.fine.faces, s.fine.vertex_count(), c.faces),
         masses(lumped_masses(s.fine, o.material.density)),
-        tracking(c, s, masses) {
-    for (std::size_t round = 0; round + 1 < s.level_sizes.size(); ++round) {
-      const Topology mesh = round == 0 ? c : subdivide(c, static_cast<int>(round)).fine;
-      Level& level = levels.emplace_back();
-      level.size = s.level_sizes[round];
-      for (const float mass : lumped_masses(mesh, o.material.density)) level.inverse_masses.push_back(1 / mass);
-      level.faces = FacePacks(stretch_faces(mesh, o.material), count);
-    }
+        tracking(c, s, masses),
+        levels(c, s, o.material) {
     faces = FacePacks(stretch_faces(s.fine, o.material), count);
     std::vector<Hinge> bending = edge_hinges(s.fine, o.material);
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
@@ -179,11 +168,7 @@ struct FoldStep::Work {
     for (std::uint32_t i = 0; i < count; ++i) mobile[i] = fixed[i] ? 0 : (1 + ahead) * mobile[i];
     faces.set_step(mobile, step_s);
     hinges.set_step(mobile, step_s);
-    for (Level& level : levels) {
-      std::vector<float> mobile_level(level.inverse_masses);
-      for (std::uint32_t i = 0; i < level.size; ++i) mobile_level[i] = fixed[i] ? 0 : (1 + ahead) * mobile_level[i];
-      level.faces.set_step(mobile_level, step_s);
-    }
+    levels.set_step(fixed, 1 + ahead, step_s);
   }
 
   // The state's cloth, or the upsampled one in its motion; returns whether it had to be that.
@@ -306,21 +291,6 @@ struct FoldStep::Work {
     }
   }
 
-  // Stretched edges of the coarser levels are shortened, and what that moves carries the finer vertices along: tension
-  // reaches far within a step.
-  void solve_levels() {
-    const auto& ends = subdivision.halved_edges;
-    for (const Level& level : levels) {
-      for (std::uint32_t i = 0; i < level.size; ++i) moved[i] = -x[i];
-      level.faces.solve(x, true);
-      for (std::uint32_t i = 0; i < level.size; ++i) moved[i] += x[i];
-      for (std::uint32_t i = level.size; i < count; ++i) {
-        moved[i] = 0.5f * (moved[ends[i][0]] + moved[ends[i][1]]);
-        x[i] += moved[i];
-      }
-    }
-  }
-
   // Damped by the time T, a constraint C in a step h acts as C + T dC/dt would: with the positions T / h steps ahead,
   // in which everything is 1 + T / h times as mobile. What the cloth moves with the coarse one isn't damped.
   void look_ahead() {
@@ -367,7 +337,7 @@ struct FoldStep::Work {
     }
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
     look_ahead();
-    solve_levels();
+    levels.solve(x);
     faces.solve(x, false);
     hinges.solve(x);
     look_back();

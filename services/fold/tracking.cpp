@@ -13,7 +13,7 @@ namespace {
 // At large, in averages over many rings, the coarse cloth is followed as well: what acts on the cloth there (weight,
 // wind, whatever moved it) is the coarse cloth's affair. Where it is near, only its motion; as it gets farther, its
 // place too, with a frequency that grows to kLargeFrequency (rad/s) at kLargeLack (m). At least critically damped.
-constexpr float kLargeFrequency = 16, kLargeLack = 0.2f, kLargeDamping = 16;
+constexpr float kLargeFrequency = 16, kLargeLack = 0.2f, kLargeDamping = 30;
 constexpr int kLargeRounds = 8;
 
 }  // namespace

@@ -102,6 +102,8 @@ int main(int argc, char** argv) {
     options.material = scene.material;
     options.frame_time_s = scene.frame_time_s;
     options.gravity = scene.gravity;
+    options.air_density = scene.wind.density;
+    options.air_velocity = scene.wind.velocity;
     std::filesystem::create_directories(std::filesystem::absolute(out).parent_path());
     run(scene, options, threads, out);
     return 0;
