@@ -82,12 +82,13 @@ void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& 
 
 int main(int argc, char** argv) {
   CLI::App app("Folds and refines the coarse frames of a scene.");
-  std::string scene_file = "deploy/scenes/draping.json", out;
+  std::string scene_file = "deploy/scenes/draping.json", material_file, out;
   pleat::fold::FoldOptions options;
   int frames = 61, threads = 0;
   double step_ms = 1e3 * options.step_s;
   app.add_option("scene", scene_file, "scene file")->capture_default_str();
   app.add_option("--out", out, "the result to write")->required();
+  app.add_option("--material", material_file, "of the coarse and the fine cloth, instead of the scene's");
   app.add_option("--frames", frames, "frames")->capture_default_str()->check(CLI::PositiveNumber);
   app.add_option("--frequency", options.frequency, "of averages, rad/s")->capture_default_str();
   app.add_option("--step-ms", step_ms, "of the cloth, at most")->capture_default_str();
@@ -96,6 +97,7 @@ int main(int argc, char** argv) {
   try {
     pleat::simulation::Scene scene =
         pleat::simulation::scene_from_message(pleat::presentation::read_scene_file(scene_file));
+    if (!material_file.empty()) scene.material = pleat::simulation::read_material(material_file);
     scene.frames = frames;
     scene.threads = threads;
     options.step_s = 1e-3 * step_ms;
