@@ -9,24 +9,29 @@
 namespace pleat::dataset {
 
 void add_generate_options(CLI::App& app, GenerateChoice& choice) {
-  app.add_option("--set", choice.set, "scenes")->capture_default_str()->check(CLI::IsMember({"draping", "hitting"}));
+  app.add_option("--set", choice.set, "scenes")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"draping", "hitting", "sheet", "disk"}));
   app.add_option("--scale", choice.scale,
-                 "frames a sequence; small: 150, full: the paper's 400 (draping) or 1,000 (hitting)")
+                 "frames a sequence; small: 150 or 60, full: the papers' 400 (draping), 1,000 (hitting) or 200")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
   app.add_option("--fine", choice.fine,
-                 "the fine cloth follows the coarse one, by averages or by the paper's springs, or goes its own way")
+                 "the fine cloth follows the coarse one, by averages or by the paper's springs, or goes its own way "
+                 "(sheet, disk: always)")
       ->capture_default_str()
       ->check(CLI::IsMember({"tracked", "springs", "free"}));
+  app.add_option("--rounds", choice.rounds, "2, 3 or 4: 16, 64 or 256 fine faces for each coarse one (default: 2)")
+      ->check(positive_number());
   app.add_option("--frames", choice.frames, "frames a sequence, instead of the scale's")->check(positive_number());
-  app.add_option("--train", choice.train, "sequences for training (default: 10 or 27)")->check(natural_number());
-  app.add_option("--test", choice.test, "sequences for testing (default: 3 or 8)")->check(natural_number());
+  app.add_option("--train", choice.train, "sequences for training (default: 10, 27, 16 or 8)")->check(natural_number());
+  app.add_option("--test", choice.test, "sequences for testing (default: 3, 8, 4 or 2)")->check(natural_number());
   app.add_option("--extra", choice.extra, "further sequences for training, behind the others, which stay the same")
       ->capture_default_str()
       ->check(natural_number());
   app.add_option("--seed", choice.seed, "seed of the scenes")->capture_default_str()->check(natural_number());
   app.add_option("--workers", choice.workers, "processes (default: one a processor)")->check(positive_number());
-  app.add_option("--garment", choice.garment, "coarse garment, OBJ or PLY (default: the shipped tablecloth)");
+  app.add_option("--garment", choice.garment, "coarse garment, OBJ or PLY (default: the set's own)");
   app.add_option("--garment-scale", choice.garment_scale, "metres per unit of the garment's file: 0.01 for centimetres")
       ->capture_default_str()
       ->check(positive_number());
@@ -43,11 +48,12 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   options.scenes.test = choice.test >= 0 ? choice.test : size.test;
   options.scenes.extra = choice.extra;
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
+  options.scenes.rounds = choice.rounds;
   options.scenes.seed = choice.seed;
   options.scenes.tracked = choice.fine != "free";
   options.scenes.springs = choice.fine == "springs";
   options.scenes.garment = choice.garment;
-  if (choice.garment.empty()) options.scenes.garment = shipped_file("garments/tablecloth.obj");
+  if (choice.garment.empty()) options.scenes.garment = shipped_file(default_garment(choice.set));
   options.scenes.garment_scale = choice.garment_scale;
   options.scenes.material = choice.material;
   if (choice.material.empty()) options.scenes.material = shipped_file("materials/gray-interlock.json");

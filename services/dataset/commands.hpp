@@ -12,9 +12,9 @@ namespace pleat::dataset {
 
 struct GenerateChoice {
   std::string folder, set = "draping", scale = "small", fine = "tracked";
-  std::string garment, material;  ///< empty: the shipped tablecloth, its fabric
+  std::string garment, material;  ///< empty: the set's own, its fabric
   double garment_scale = 1;
-  int frames = 0, train = -1, test = -1, extra = 0, workers = 0;
+  int frames = 0, rounds = 0, train = -1, test = -1, extra = 0, workers = 0;
   std::uint64_t seed = 1;
   bool deflate = true;
 };

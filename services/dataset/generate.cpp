@@ -99,7 +99,7 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   master.frame_time_s = scene.frame_time_s;
   master.time_step_s = scene.frame_time_s / scene.steps_per_frame;
   master.seed = options.scenes.seed;
-  master.tracked = options.scenes.tracked;
+  master.tracked = plans.front().tracked;
   master.git_revision = options.git_revision;
   std::ifstream material(options.scenes.material, std::ios::binary);
   master.material.assign(std::istreambuf_iterator<char>(material), {});

@@ -1,0 +1,71 @@
+#!/usr/bin/env python3
+"""Writes sheet.obj (81 vertices) and disk.obj (148 vertices): the flat garments of the sets SHEET and DISK.
+
+sheet: 1 m square, 9 x 9 vertices. disk: radius 0.6 m, 60 vertices on the rim and 88 on
+rings inside. Both lie flat in x and z, faces upwards, material coordinates (x, -z) in metres. Needs numpy.
+Usage: make_flat_garments.py FOLDER
+"""
+import pathlib
+import sys
+
+import numpy as np
+
+
+def write(path, points, faces):
+    """points: (V, 2), x and z in metres; faces: (F, 3)."""
+    with open(path, "w", encoding="ascii") as out:
+        for x, z in points:
+            out.write(f"v {x:.6g} 0 {z:.6g}\n")
+        for x, z in points:
+            out.write(f"vt {x:.6g} {-z + 0.0:.6g}\n")
+        for a, b, c in faces + 1:
+            out.write(f"f {a}/{a} {b}/{b} {c}/{c}\n")
+
+
+def upwards(points, faces):
+    """The faces with their normals along +y."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    return np.where((area < 0)[:, None], faces, faces[:, ::-1])
+
+
+def sheet(side=9, length=1.0):
+    axis = np.linspace(0, length, side)
+    points = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.concatenate([np.stack([corner, corner + 1, corner + side], 1),
+                            np.stack([corner + side, corner + 1, corner + side + 1], 1)])
+    return points, upwards(points, faces)
+
+
+def disk(counts=(60, 36, 26, 16, 9, 1), radii=(0.6, 0.505, 0.395, 0.275, 0.145, 0.0)):
+    angles = [2 * np.pi * (np.arange(n) + 0.5 * (ring % 2)) / n for ring, n in enumerate(counts)]
+    points = np.concatenate([r * np.stack([np.cos(t), np.sin(t)], 1) for r, t in zip(radii, angles)])
+    first = np.concatenate([[0], np.cumsum(counts)])
+    faces = []
+    for ring in range(len(counts) - 1):
+        outer, inner = counts[ring], counts[ring + 1]
+        i = j = 0
+        while i < outer or j < inner:
+            at = first[ring] + i % outer, first[ring + 1] + j % inner
+            ahead = first[ring] + (i + 1) % outer, first[ring + 1] + (j + 1) % inner
+            cross = [np.linalg.norm(points[ahead[0]] - points[at[1]]), np.linalg.norm(points[ahead[1]] - points[at[0]])]
+            if inner == 1 or j == inner or (i < outer and cross[0] <= cross[1]):
+                faces.append((at[0], at[1], ahead[0]))
+                i += 1
+            else:
+                faces.append((at[0], at[1], ahead[1]))
+                j += 1
+            if inner == 1 and i == outer:
+                break
+    return points, upwards(points, np.array(faces))
+
+
+def main():
+    folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).parent)
+    write(folder / "sheet.obj", *sheet())
+    write(folder / "disk.obj", *disk())
+
+
+if __name__ == "__main__":
+    main()
