@@ -5,6 +5,7 @@
 
 #include "common/base/error.hpp"
 #include "services/conversion/geometry_image/detail_image.hpp"
+#include "services/conversion/vertex_features/vertex_representation.hpp"
 
 namespace pleat {
 
@@ -20,6 +21,9 @@ std::unique_ptr<const Representation> make_representation(const Topology& coarse
   } else {
     validate_topology(coarse, "coarse mesh");
     subdivision = subdivide(coarse, spec.subdivision);
+  }
+  if (std::holds_alternative<VertexFeatureSpec>(spec.kind)) {
+    return std::make_unique<VertexRepresentation>(coarse, std::move(subdivision), spec);
   }
   switch (std::get<GeometryImageSpec>(spec.kind).layout) {
     case ImageLayout::kPublished:

@@ -12,6 +12,7 @@
 #include "common/frame/frame.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "services/conversion/geometry_image/image_spec.hpp"
+#include "services/conversion/vertex_features/vertex_spec.hpp"
 #include "services/conversion/vertex_reads.hpp"
 
 namespace pleat {
@@ -21,7 +22,7 @@ inline constexpr int kMaxWindow = 16;
 
 /// What decides a representation, besides the coarse mesh. One kind of the variant per folder of this room.
 struct RepresentationSpec {
-  std::variant<GeometryImageSpec> kind;
+  std::variant<GeometryImageSpec, VertexFeatureSpec> kind;
   SubdivisionSpec subdivision;
   int window = 1;  ///< frames that the network reads, 1 to kMaxWindow
 };
@@ -74,7 +75,8 @@ class Representation {
   virtual const std::vector<std::uint8_t>& input_mask() const = 0;
   virtual const std::vector<std::uint8_t>& answer_mask() const = 0;
   /// decode() without the base, as a linear map: reads of the answer's first three channels, after turned by
-  /// answer_axes() where that gives any.
+  /// answer_axes() where that gives any. Corrections that decode() makes of the result by further channels are not in
+  /// it; there are none where the answer is a target().
   virtual const VertexReads& reads() const = 0;
   /// The axes in which the answer's vectors are given: (9, h, w), three unit vectors at each place of the *input*, in
   /// the alignment's axes; enlarged bilinearly they belong to the places of the answer. Without a shape: the

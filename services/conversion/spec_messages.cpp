@@ -36,6 +36,25 @@ GeometryImageSpec image_from(const v1::GeometryImage& message, std::int64_t max_
   return spec;
 }
 
+VertexFeatureSpec features_from(const v1::VertexFeatures& message) {
+  VertexFeatureSpec spec;
+  switch (message.rotation()) {
+    case v1::VertexFeatures::ROTATION_LOGARITHM:
+      spec.rotation = RotationCode::kLogarithm;
+      break;
+    case v1::VertexFeatures::ROTATION_QUATERNION:
+      spec.rotation = RotationCode::kQuaternion;
+      break;
+    default:
+      throw_invalid_argument("representation.vertex_features.rotation: unknown value " +
+                             std::to_string(static_cast<int>(message.rotation())));
+  }
+  spec.fixed_axes = message.fixed_axes();
+  if (message.has_passes()) spec.passes = extent(message.passes());
+  if (message.anchor_weight() != 0) spec.anchor_weight = message.anchor_weight();
+  return spec;
+}
+
 }  // namespace
 
 RepresentationSpec spec_from(const v1::Representation& message, std::int64_t max_texels) {
@@ -46,7 +65,8 @@ RepresentationSpec spec_from(const v1::Representation& message, std::int64_t max
       spec.kind = image_from(message.geometry_image(), max_texels);
       break;
     case v1::Representation::kVertexFeatures:
-      throw_invalid_argument("representation: this service has no vertex features");
+      spec.kind = features_from(message.vertex_features());
+      break;
   }
   spec.subdivision = subdivision_from(message);
   if (spec.subdivision.rounds > kMaxSubdivisionRounds) {

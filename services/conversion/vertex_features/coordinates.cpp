@@ -177,13 +177,44 @@ void CoordinateSolver::place_parts(const Positions& soft, std::vector<Float4>& p
   }
 }
 
+void CoordinateSolver::check_gradients(const GradientField& gradients) const {
+  if (gradients.columns.size() == slot_.size()) return;
+  throw_invalid_argument("vertex features: " + std::to_string(gradients.columns.size()) + " gradients for " +
+                         std::to_string(slot_.size()) + " vertices");
+}
+
+void CoordinateSolver::run_passes(const GradientField& gradients, int passes, CoordinateScratch& scratch) const {
+  std::vector<Float4>& p = scratch.positions;
+  for (int pass = 0; pass < passes && factor_ != nullptr; ++pass) {
+    GradientField& difference = scratch.difference;
+    rings_->gradients(p.data(), difference);
+    for (std::size_t v = 0; v < slot_.size(); ++v) {
+      for (std::size_t c = 0; c < 3; ++c) {
+        difference.columns[v][c] = gradients.columns[v][c] - difference.columns[v][c];
+      }
+    }
+    load(difference, scratch.unknowns);
+    factor_->solve(scratch.unknowns);
+    for (std::size_t v = 0; v < slot_.size(); ++v) {
+      if (slot_[v] != kNone) p[v] += __builtin_convertvector(scratch.unknowns[slot_[v]], Float4);
+    }
+  }
+}
+
+void CoordinateSolver::store(const std::vector<Float4>& from, Positions& positions) const {
+  positions.resize(static_cast<Eigen::Index>(slot_.size()), 3);
+  for (std::size_t v = 0; v < slot_.size(); ++v) {
+    for (int k = 0; k < 3; ++k) positions.data()[3 * v + static_cast<std::size_t>(k)] = from[v][k];
+    if (!(std::abs(from[v][0]) + std::abs(from[v][1]) + std::abs(from[v][2]) < 1e9f)) {
+      throw_invalid_argument("vertex features: the position of vertex " + std::to_string(v) + " is not finite");
+    }
+  }
+}
+
 void CoordinateSolver::solve(const GradientField& gradients, const Positions& handles, const Positions& soft,
                              int passes, CoordinateScratch& scratch, Positions& positions) const {
   const std::size_t count = slot_.size();
-  if (gradients.columns.size() != count) {
-    throw_invalid_argument("vertex features: " + std::to_string(gradients.columns.size()) + " gradients for " +
-                           std::to_string(count) + " vertices");
-  }
+  check_gradients(gradients);
   check_places(handles, anchors_.handles.size(), "handles");
   check_places(soft, anchors_.soft.size(), "anchors");
   std::vector<Float4>& p = scratch.positions;
@@ -202,28 +233,20 @@ void CoordinateSolver::solve(const GradientField& gradients, const Positions& ha
   for (std::size_t v = 0; v < count; ++v) {
     if (slot_[v] != kNone) p[v] = __builtin_convertvector(scratch.unknowns[slot_[v]], Float4);
   }
-  for (int pass = 0; pass < passes && factor_ != nullptr; ++pass) {
-    GradientField& difference = scratch.difference;
-    rings_->gradients(p.data(), difference);
-    for (std::size_t v = 0; v < count; ++v) {
-      for (std::size_t c = 0; c < 3; ++c) {
-        difference.columns[v][c] = gradients.columns[v][c] - difference.columns[v][c];
-      }
-    }
-    load(difference, scratch.unknowns);
-    factor_->solve(scratch.unknowns);
-    for (std::size_t v = 0; v < count; ++v) {
-      if (slot_[v] != kNone) p[v] += __builtin_convertvector(scratch.unknowns[slot_[v]], Float4);
-    }
-  }
+  run_passes(gradients, passes, scratch);
   place_parts(soft, p);
-  positions.resize(static_cast<Eigen::Index>(count), 3);
-  for (std::size_t v = 0; v < count; ++v) {
-    for (int k = 0; k < 3; ++k) positions.data()[3 * v + static_cast<std::size_t>(k)] = p[v][k];
-    if (!(std::abs(p[v][0]) + std::abs(p[v][1]) + std::abs(p[v][2]) < 1e9f)) {
-      throw_invalid_argument("vertex features: the position of vertex " + std::to_string(v) + " is not finite");
-    }
-  }
+  store(p, positions);
+}
+
+void CoordinateSolver::correct(const GradientField& gradients, int passes, CoordinateScratch& scratch,
+                               Positions& positions) const {
+  check_gradients(gradients);
+  check_places(positions, slot_.size(), "vertices");
+  scratch.positions.resize(slot_.size());
+  scratch.unknowns.resize(slot_.size());
+  for (std::size_t v = 0; v < slot_.size(); ++v) scratch.positions[v] = row(positions, v);
+  run_passes(gradients, passes, scratch);
+  store(scratch.positions, positions);
 }
 
 }  // namespace pleat

@@ -48,6 +48,10 @@ class CoordinateSolver {
   void solve(const GradientField& gradients, const Positions& handles, const Positions& soft, int passes,
              CoordinateScratch& scratch, Positions& positions) const;
 
+  /// The passes alone, from positions that are nearly right already: where they have the gradients, nothing moves.
+  /// Handles stay; soft anchors resist. positions: (V x 3), metres, in the axes of the gradients. Throws as solve().
+  void correct(const GradientField& gradients, int passes, CoordinateScratch& scratch, Positions& positions) const;
+
  private:
   struct Pull {  // an edge from an unknown to a fixed vertex
     std::uint32_t slot, fixed;
@@ -64,6 +68,9 @@ class CoordinateSolver {
   void build_system(const std::string& name);
   void build_rows();
   void load(const GradientField& gradients, std::vector<Double4>& unknowns) const;
+  void check_gradients(const GradientField& gradients) const;
+  void run_passes(const GradientField& gradients, int passes, CoordinateScratch& scratch) const;
+  void store(const std::vector<Float4>& from, Positions& positions) const;
   void place_parts(const Positions& soft, std::vector<Float4>& positions) const;
 
   std::shared_ptr<const OneRings> rings_;

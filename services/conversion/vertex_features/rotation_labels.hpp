@@ -7,14 +7,9 @@
 #include <vector>
 
 #include "services/conversion/vertex_features/one_rings.hpp"
+#include "services/conversion/vertex_features/vertex_spec.hpp"
 
 namespace pleat {
-
-/// How a rotation is written down.
-enum class RotationCode {
-  kLogarithm,   ///< three numbers v with exp(v) = R: (angle + 2 pi k) axis for any integer k
-  kQuaternion,  ///< four numbers: q or -q. Bounded, and continuous for every continuous motion
-};
 
 inline int rotation_channels(RotationCode code) { return code == RotationCode::kLogarithm ? 3 : 4; }
 

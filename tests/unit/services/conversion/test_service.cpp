@@ -1,6 +1,7 @@
 // The adapter, over a real channel.
 #include "services/conversion/service.hpp"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -300,7 +301,52 @@ TEST_F(ConversionServer, AWindowNeedsItsFrames) {
   expect_refused(ErrorCode::kInvalidArgument,
                  [](v1::ConversionSetup& s) { s.mutable_representation()->set_window(17); });
   expect_refused(ErrorCode::kInvalidArgument,
-                 [](v1::ConversionSetup& s) { s.mutable_representation()->mutable_vertex_features(); });
+                 [](v1::ConversionSetup& s) { s.mutable_representation()->mutable_vertex_features()->set_passes(99); });
+  expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) {
+    s.mutable_representation()->mutable_vertex_features()->set_rotation(static_cast<v1::VertexFeatures::Rotation>(7));
+  });
+}
+
+// The same of vertex features, with a window of two frames.
+TEST_F(ConversionServer, VertexFeaturesComeBackAsTheMesh) {
+  v1::Representation& wanted = *setup_.mutable_representation();
+  wanted.mutable_vertex_features();
+  wanted.set_subdivision_rounds(1);
+  wanted.set_window(2);
+  grpc::ClientContext context;
+  v1::ConversionOpened described;
+  ASSERT_TRUE(stub_->Describe(&context, setup_, &described).ok());
+  const auto faces = static_cast<std::uint32_t>(garment_.coarse.face_count());
+  EXPECT_THAT(described.input_shape(), testing::ElementsAre(45, 1, faces));
+  EXPECT_THAT(described.answer_shape(), testing::ElementsAre(9, 3, 3 * faces));
+  EXPECT_THAT(described.constants().shape(), testing::ElementsAre(27, 1, faces));
+
+  v1::ToImageRequest request;
+  *request.mutable_frame() = to_message(test::wrinkled_frame(garment_.coarse, 0.4f));
+  *request.add_earlier() = to_message(test::wrinkled_frame(garment_.coarse, 0.3f));
+  const auto images = image_stream();
+  images->open(image_open());
+  images->push(request);
+  v1::ToImageResponse encoded;
+  ASSERT_TRUE(images->pop(&encoded));
+  ASSERT_TRUE(encoded.has_frame()) << encoded.error().message();
+  EXPECT_THAT(encoded.frame().image().shape(), testing::ElementsAre(90, 1, faces));
+
+  const auto library = make_representation(garment_.coarse, spec_from(wanted, 4'000'000));
+  const Frame coarse = test::wrinkled_frame(garment_.coarse, 0.4f), fine = test::wrinkled_frame(library->fine(), 0.5f);
+  Tensor answer;
+  library->target(coarse, fine, from_message(encoded.frame().alignment(), "alignment"), answer);
+  v1::ToMeshRequest back;
+  *back.mutable_frame()->mutable_alignment() = encoded.frame().alignment();
+  *back.mutable_frame()->mutable_coarse() = request.frame();
+  *back.mutable_frame()->mutable_image() = to_message(answer);
+  const auto meshes = mesh_stream();
+  meshes->open(mesh_open());
+  meshes->push(back);
+  v1::ToMeshResponse decoded;
+  ASSERT_TRUE(meshes->pop(&decoded));
+  ASSERT_TRUE(decoded.has_frame()) << decoded.error().message();
+  EXPECT_LT(test::rms(positions_from_message(decoded.frame().fine()), fine.positions), 1e-5);
 }
 
 TEST_F(ConversionServer, BadSetupsAreRefused) {
