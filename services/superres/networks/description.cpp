@@ -19,14 +19,23 @@ int Description::input_channels(const Layer& layer) const {
 int Description::add(Layer layer) {
   const int next = values();
   const auto known = [&](int value) { return value >= 0 && value < next; };
-  const bool convolution = layer.kind == LayerKind::kConvolution;
+  const bool convolution = layer.kind == LayerKind::kConvolution, norm = layer.kind == LayerKind::kNorm;
+  const bool attention = layer.kind == LayerKind::kAttention;
   bool good = !layer.inputs.empty() && std::all_of(layer.inputs.begin(), layer.inputs.end(), known);
   if (good && !convolution) {
-    const int square = layer.kind == LayerKind::kPixelShuffle ? layer.factor * layer.factor : 1;
-    layer.channels = channels(layer.inputs[0]) / square;
-    good = layer.inputs.size() == 1 && layer.channels * square == channels(layer.inputs[0]) && layer.add < 0 &&
+    const int parts = layer.kind == LayerKind::kPixelShuffle ? layer.factor * layer.factor : attention ? 3 : 1;
+    layer.channels = channels(layer.inputs[0]) / parts;
+    good = layer.inputs.size() == 1 && layer.channels * parts == channels(layer.inputs[0]) &&
+           (layer.add < 0 || (norm && known(layer.add) && channels(layer.add) == layer.channels)) &&
            layer.activation == Activation::kNone && layer.factor >= 1 &&
-           (layer.kind != LayerKind::kResize || known(layer.like));
+           (layer.kind != LayerKind::kResize || known(layer.like)) && (!norm || !layer.name.empty()) &&
+           (!attention || (layer.heads > 0 && layer.channels % (layer.frames * layer.heads) == 0));
+  }
+  good = good && layer.frames >= 1 && layer.channels % layer.frames == 0;
+  if (layer.frames > 1) {
+    good = good && (norm || attention ||
+                    (convolution && layer.kernel == 1 && layer.inputs.size() == 1 &&
+                     channels(layer.inputs[0]) % layer.frames == 0 && layer.activation != Activation::kPrelu));
   }
   if (convolution) {
     good = good && layer.channels > 0 && (layer.kernel == 1 || layer.kernel == 3) && !layer.name.empty() &&

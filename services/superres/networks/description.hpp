@@ -13,6 +13,9 @@ enum class LayerKind {
   kUpsample,      ///< bilinear, factor times the size; texel centres at (i + 0.5) / size
   kPool,          ///< mean over blocks of factor x factor, the last ones cut off by the border; ceil(h / factor) high
   kResize,        ///< bilinear to the size of value `like`; texel centres at (i + 0.5) / size
+  kNorm,          ///< over the channels of a place: mean 0, deviation 1, then times NAME_weight plus NAME_bias
+  kAttention,     ///< (3 C, h, w) -> (C, h, w): queries, keys and values, C of each, in `heads` parts; every place (or
+               ///< every frame of a place) gets the values of all, weighted by softmax(query . key / sqrt(C / heads))
 };
 
 enum class Activation {
@@ -29,12 +32,17 @@ struct Layer {
       {};            ///< values of one size whose channels follow each other; one value but for convolutions
   int channels = 0;  ///< of its output
   int kernel = 3;
-  int add = -1;  ///< value that is added before the activation, or -1
+  int add = -1;  ///< value that is added before the activation (after a norm), or -1
   Activation activation = Activation::kNone;
   bool exact = false;  ///< always float32: layers that read metres in which wrinkles are millimetres
   bool zero = false;   ///< weights begin at zero, so that an untrained network answers with zeros
   int factor = 1;
   int like = -1;
+  /// The channels are so many parts, of a frame each, on which the layer works alike: convolutions with kernel 1 and
+  /// one input, norms, and attention.
+  int frames = 1;
+  int heads = 1;
+  bool over_frames = false;  ///< attention between the frames of a place, instead of between the places of a frame
 };
 
 struct Size {

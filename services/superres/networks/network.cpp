@@ -22,6 +22,34 @@ torch::Tensor uniform(std::vector<std::int64_t> shape, double bound, std::uint64
   return tensor.set_requires_grad(true);
 }
 
+/// (N, frames C, h, w) -> (N frames, C, h, w)
+torch::Tensor split_frames(const torch::Tensor& x, int frames) {
+  return frames == 1 ? x : x.reshape({-1, x.size(1) / frames, x.size(2), x.size(3)});
+}
+
+torch::Tensor normalized(const torch::Tensor& x, const Layer& layer, const torch::Tensor& weight,
+                         const torch::Tensor& bias) {
+  const std::int64_t channels = layer.channels / layer.frames;
+  const auto places = x.reshape({-1, channels, x.size(2) * x.size(3)}).transpose(1, 2);
+  return torch::layer_norm(places, {channels}, weight, bias).transpose(1, 2).reshape(x.sizes());
+}
+
+torch::Tensor attention(const torch::Tensor& x, const Layer& layer) {
+  const std::int64_t frames = layer.frames, heads = layer.heads, width = layer.channels / (frames * heads);
+  const double scale = 1 / std::sqrt(static_cast<double>(width));
+  const auto parts = x.reshape({-1, frames, 3, heads, width, x.size(2) * x.size(3)});
+  const auto q = parts.select(2, 0), k = parts.select(2, 1), v = parts.select(2, 2);  // (N, T, heads, width, places)
+  torch::Tensor result;
+  if (layer.over_frames) {
+    const auto weights = torch::softmax((q.unsqueeze(2) * k.unsqueeze(1)).sum(4) * scale, 2);
+    result = (weights.unsqueeze(4) * v.unsqueeze(1)).sum(2);
+  } else {
+    const auto weights = torch::softmax(torch::matmul(q.transpose(3, 4), k) * scale, -1);
+    result = torch::matmul(v, weights.transpose(3, 4));
+  }
+  return result.reshape({x.size(0), layer.channels, x.size(2), x.size(3)});
+}
+
 torch::Tensor resize(const torch::Tensor& x, std::int64_t height, std::int64_t width) {
   return torch::upsample_bilinear2d(x, {height, width}, false);
 }
@@ -70,8 +98,14 @@ torch::Tensor upsample_bilinear(const torch::Tensor& x, int factor) {
 Network::Network(const Description& description, std::uint64_t seed) : description_(description) {
   std::uint64_t state = seed;
   for (const Layer& layer : description_.layers) {
+    if (layer.kind == LayerKind::kNorm) {
+      const std::int64_t channels = layer.channels / layer.frames;
+      parameters_.emplace_back(layer.name + "_weight", torch::ones({channels}).set_requires_grad(true));
+      parameters_.emplace_back(layer.name + "_bias", torch::zeros({channels}).set_requires_grad(true));
+    }
     if (layer.kind != LayerKind::kConvolution) continue;
-    const std::int64_t in = description_.input_channels(layer), out = layer.channels, k = layer.kernel;
+    const std::int64_t in = description_.input_channels(layer) / layer.frames, out = layer.channels / layer.frames,
+                       k = layer.kernel;
     const double bound = layer.zero ? 0.0 : 1.0 / std::sqrt(static_cast<double>(in * k * k));
     parameters_.emplace_back(layer.name + "_weight", uniform({out, in, k, k}, bound, state));
     parameters_.emplace_back(layer.name + "_bias", uniform({out}, bound, state));
@@ -101,16 +135,25 @@ torch::Tensor Network::layer_forward(const Layer& layer, const std::vector<torch
       return torch::avg_pool2d(first, layer.factor, layer.factor, 0, true, false);
     case LayerKind::kResize:
       return resize(first, value(layer.like).size(2), value(layer.like).size(3));
+    case LayerKind::kAttention:
+      return attention(first, layer);
+    case LayerKind::kNorm:
     case LayerKind::kConvolution:
       break;
   }
   // No copies where the types agree already.
   const auto type = layer.exact ? torch::kFloat32 : body;
+  if (layer.kind == LayerKind::kNorm) {
+    const auto y =
+        normalized(first.to(type), layer, get(layer.name + "_weight").to(type), get(layer.name + "_bias").to(type));
+    return layer.add >= 0 ? y + value(layer.add).to(type) : y;
+  }
   std::vector<torch::Tensor> parts;
   for (const int index : layer.inputs) parts.push_back(value(index).to(type));
   const auto x = parts.size() > 1 ? torch::cat(parts, 1) : parts[0];
-  auto y =
-      torch::conv2d(x, get(layer.name + "_weight").to(type), get(layer.name + "_bias").to(type), 1, layer.kernel / 2);
+  auto y = torch::conv2d(split_frames(x, layer.frames), get(layer.name + "_weight").to(type),
+                         get(layer.name + "_bias").to(type), 1, layer.kernel / 2);
+  if (layer.frames > 1) y = y.reshape({x.size(0), layer.channels, y.size(2), y.size(3)});
   if (layer.add >= 0) y = y + value(layer.add).to(type);
   if (layer.activation == Activation::kRelu) return torch::relu(y);
   if (layer.activation == Activation::kNone) return y;
@@ -163,7 +206,8 @@ void Network::to(torch::Device device) {
 std::vector<std::string> Network::float32_parameters() const {
   std::vector<std::string> names;
   for (const Layer& layer : description_.layers) {
-    if (layer.exact && layer.kind == LayerKind::kConvolution) names.push_back(layer.name + "_");
+    const bool has_parameters = layer.kind == LayerKind::kConvolution || layer.kind == LayerKind::kNorm;
+    if (layer.exact && has_parameters) names.push_back(layer.name + "_");
   }
   return names;
 }

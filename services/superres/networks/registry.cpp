@@ -8,6 +8,7 @@
 #include "services/superres/networks/mfsr/mfsr.hpp"
 #include "services/superres/networks/options.hpp"
 #include "services/superres/networks/srresnet/srresnet.hpp"
+#include "services/superres/networks/tokens/tokens.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -16,8 +17,10 @@ struct NetworkKind {
   const char* name;
   Description (*describe)(Options& options, const Ports& ports);
 };
-constexpr NetworkKind kKinds[] = {
-    {"mfsr", describe_mfsr}, {"srresnet", describe_srresnet}, {"chen2018", describe_chen2018}};
+constexpr NetworkKind kKinds[] = {{"mfsr", describe_mfsr},
+                                  {"srresnet", describe_srresnet},
+                                  {"chen2018", describe_chen2018},
+                                  {"tokens", describe_tokens}};
 
 const NetworkKind* find(const std::string& name) {
   const auto* found = std::find_if(std::begin(kKinds), std::end(kKinds), [&](const auto& k) { return name == k.name; });

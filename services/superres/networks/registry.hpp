@@ -21,6 +21,7 @@ struct Ports {
   int outputs = 9;      ///< channels of its answer
   int scale = 4;        ///< its answer is that many times as high and wide
   bool detail = false;  ///< the answer is added to an upsampled mesh: without training it is zero
+  int window = 1;       ///< frames that it reads at once
 };
 
 std::vector<std::string> network_kinds();

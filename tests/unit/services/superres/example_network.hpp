@@ -21,7 +21,13 @@ inline Description small_srresnet(const std::string& upsampling) {
                   {7, 3, 4, false});
 }
 
-/// Every kind of layer: the same value read with and without others, at three sizes.
+/// Of three frames. modules: further options, beginning with a comma.
+inline Description small_tokens(const std::string& modules = "") {
+  return describe({"tokens", R"({"blocks": 2, "features": 6, "heads": 2, "hidden": 5)" + modules + "}"},
+                  {7, 3, 4, false, 3});
+}
+
+/// Every kind of layer of images: the same value read with and without others, at three sizes.
 inline Description several_scales() {
   Description network(5);
   const int first = network.add({.name = "first", .inputs = {0}, .channels = 6, .exact = true});

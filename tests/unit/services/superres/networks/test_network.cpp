@@ -73,8 +73,92 @@ class Plain {
     return convolve(features, "last", 3);
   }
 
+  Image tokens(const Image& x) const {
+    Image tokens = convolve(x, "tokens", 1);
+    for (int b = 0; b < kBlocks; ++b) {
+      const std::string block = "block" + std::to_string(b);
+      const Image spatial = seen(tokens, block + "_spatial", false), temporal = seen(tokens, block + "_temporal", true);
+      const Image both = add(spatial, temporal);
+      const Image inner = rectified(by_frames(both, block + "_hidden"));
+      tokens = normalized(add(by_frames(inner, block + "_out"), both), block + "_norm");
+    }
+    return shuffle(convolve(rectified(convolve(join({tokens, x}), "answer_hidden", 1)), "answer", 1), 4);
+  }
+
  private:
   static constexpr int kBlocks = 2, kLayers = 3;
+  static constexpr int kFrames = 3, kHeads = 2;
+
+  static Image rectified(Image x) {
+    for (double& v : x.values) v = std::max(v, 0.0);
+    return x;
+  }
+
+  static Image frame(const Image& x, int t) {
+    Image part(x.channels / kFrames, x.height, x.width);
+    std::copy_n(x.values.begin() + static_cast<std::ptrdiff_t>(t * part.values.size()), part.values.size(),
+                part.values.begin());
+    return part;
+  }
+
+  Image by_frames(const Image& x, const std::string& name) const {
+    std::vector<Image> parts;
+    for (int t = 0; t < kFrames; ++t) parts.push_back(convolve(frame(x, t), name, 1));
+    return join(parts);
+  }
+
+  Image normalized(const Image& x, const std::string& name) const {
+    std::vector<Image> parts;
+    for (int t = 0; t < kFrames; ++t) {
+      Image part = frame(x, t);
+      for (int i = 0; i < part.height * part.width; ++i) {
+        const auto at = [&](int c) -> double& { return part.at(c, i / part.width, i % part.width); };
+        double mean = 0, square = 0;
+        for (int c = 0; c < part.channels; ++c) mean += at(c) / part.channels;
+        for (int c = 0; c < part.channels; ++c) square += (at(c) - mean) * (at(c) - mean) / part.channels;
+        for (int c = 0; c < part.channels; ++c) {
+          at(c) = (at(c) - mean) / std::sqrt(square + 1e-5) * value(name + "_weight", c) + value(name + "_bias", c);
+        }
+      }
+      parts.push_back(part);
+    }
+    return join(parts);
+  }
+
+  Image seen(const Image& x, const std::string& name, bool over_frames) const {
+    const Image parts = by_frames(x, name + "_parts");
+    const int features = x.channels / kFrames, width = features / kHeads, places = x.height * x.width;
+    Image mixed(x.channels, x.height, x.width);
+    // which: 0 query, 1 key, 2 value
+    const auto part = [&](int which, int t, int head, int c, int place) {
+      return parts.at((3 * t + which) * features + head * width + c, place / x.width, place % x.width);
+    };
+    for (int head = 0; head < kHeads; ++head) {
+      for (int t = 0; t < kFrames; ++t) {
+        for (int place = 0; place < places; ++place) {
+          std::vector<double> weights;
+          double sum = 0;
+          for (int other = 0; other < (over_frames ? kFrames : places); ++other) {
+            double dot = 0;
+            for (int c = 0; c < width; ++c) {
+              dot += part(0, t, head, c, place) *
+                     (over_frames ? part(1, other, head, c, place) : part(1, t, head, c, other));
+            }
+            weights.push_back(std::exp(dot / std::sqrt(static_cast<double>(width))));
+            sum += weights.back();
+          }
+          for (int c = 0; c < width; ++c) {
+            double& target = mixed.at(t * features + head * width + c, place / x.width, place % x.width);
+            for (int other = 0; other < static_cast<int>(weights.size()); ++other) {
+              target += weights[static_cast<std::size_t>(other)] / sum *
+                        (over_frames ? part(2, other, head, c, place) : part(2, t, head, c, other));
+            }
+          }
+        }
+      }
+    }
+    return normalized(add(by_frames(mixed, name + "_mix"), x), name + "_norm");
+  }
 
   Image heads(const Image& features, bool subpixel) const {
     return subpixel ? shuffle(convolve(features, "heads", 3), 4) : convolve(upsample(features), "heads", 3);
@@ -205,6 +289,43 @@ TEST(Network, AgreesWithPlainLoops) {
   }
   const Network chen = make_network(describe({"chen2018", R"({"blocks": 2, "features": 6})"}, {7, 3, 4, false}));
   EXPECT_LT(difference(from_tensor(chen.forward(x)), Plain(chen).chen2018(image)), 1e-5);
+  const Network tokens = make_network(small_tokens());
+  EXPECT_LT(difference(from_tensor(tokens.forward(x)), Plain(tokens).tokens(image)), 1e-5);
+}
+
+TEST(Network, TokensAreExactAndTheirScriptIsTheSame) {
+  for (const char* modules :
+       {"", R"(, "spatial": false)", R"(, "temporal": false)", R"(, "spatial": false, "temporal": false)"}) {
+    const Network network = make_network(small_tokens(modules));
+    const auto x = example_input(2, 7, 1, 6), expected = network.forward(x);
+    EXPECT_EQ(expected.sizes(), (torch::IntArrayRef{2, 3, 4, 24}));
+    EXPECT_LT((network.to_script().forward({x}).toTensor() - expected).abs().max().item<double>(), 1e-5) << modules;
+    EXPECT_TRUE(torch::equal(network.forward(x, torch::kBFloat16), expected)) << modules;
+    EXPECT_FALSE(kernels::Trainable::supports(network.description()));
+  }
+  EXPECT_THROW(describe({"tokens", R"({"features": 6, "heads": 4})"}, {7, 3, 4, false, 3}), Error);
+}
+
+TEST(Network, EveryParameterOfTokensGetsItsGradient) {
+  const Network network = make_network(small_tokens());
+  const auto x = example_input(1, 7, 1, 5);
+  const auto loss = [&] { return network.forward(x).square().sum(); };
+  loss().backward();
+  const torch::NoGradGuard no_grad;
+  for (const auto& [name, value] : network.parameters()) {
+    ASSERT_TRUE(value.grad().defined()) << name;
+    auto flat = value.view({-1});
+    for (const std::int64_t i : {std::int64_t{0}, flat.numel() - 1}) {
+      const float before = flat[i].item<float>(), step = 1e-2F;
+      flat[i] = before + step;
+      const double above = loss().item<double>();
+      flat[i] = before - step;
+      const double below = loss().item<double>();
+      flat[i] = before;
+      const double gradient = value.grad().view({-1})[i].item<double>();
+      EXPECT_NEAR((above - below) / (2 * static_cast<double>(step)), gradient, 2e-2 * (1 + std::abs(gradient))) << name;
+    }
+  }
 }
 
 class NetworkVariants : public testing::TestWithParam<Description> {};

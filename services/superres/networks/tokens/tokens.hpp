@@ -1,0 +1,15 @@
+// A token for every place and frame, which look at one another.
+#pragma once
+
+#include "services/superres/networks/options.hpp"
+#include "services/superres/networks/registry.hpp"
+
+namespace pleat::superres {
+
+/// Blocks of spatial attention (between the places of a frame) and temporal attention (between the frames of a place)
+/// side by side, as the spatial-temporal transformer of [ST]; then one perceptron for all places, which answers
+/// scale^2 values a channel for each. Options: features of a token, heads, blocks, hidden (width of the perceptrons),
+/// and the modules' switches, spatial and temporal.
+Description describe_tokens(Options& options, const Ports& ports);
+
+}  // namespace pleat::superres
