@@ -9,6 +9,8 @@
 #include <fstream>
 #include <map>
 #include <mutex>
+#include <optional>
+#include <utility>
 
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
@@ -91,6 +93,13 @@ struct Engine::State {
   std::unique_ptr<kernels::Executor> executor;  ///< in place of the module where it can
   std::shared_ptr<const Tensor> constants_in_use;
   std::mutex mutex;
+
+  /// Height and width of what the bundle reads, if it says so.
+  std::optional<std::pair<std::int64_t, std::int64_t>> own_size() const {
+    const auto* kind = std::get_if<GeometryImageSpec>(&metadata.representation.kind);
+    if (kind == nullptr || kind->image.coarse_width == 0) return std::nullopt;
+    return std::pair<std::int64_t, std::int64_t>(kind->image.coarse_height, kind->image.coarse_width);
+  }
 
   std::vector<std::int64_t> answer_shape(const std::vector<std::int64_t>& frames, int channels) const {
     return {channels, frames[1] * ports.scale, frames[2] * ports.scale};
@@ -177,9 +186,7 @@ struct Engine::State {
   /// The first inferences make buffers, and TorchScript optimises in its second; a batch of one must be as warm as a
   /// full one.
   void warm_up(const std::string& path) {
-    const auto& image = std::get<GeometryImageSpec>(metadata.representation.kind).image;
-    const bool any = image.coarse_width == 0;
-    const std::int64_t h = any ? kAnySide : image.coarse_height, w = any ? kAnySide : image.coarse_width;
+    const auto [h, w] = own_size().value_or(std::pair(kAnySide, kAnySide));
     const auto filled = [&](std::int64_t channels) {
       return Tensor{{channels, h, w}, {}, std::vector<float>(static_cast<std::size_t>(channels * h * w), 0.5F)};
     };
@@ -298,11 +305,10 @@ void Engine::check(const NetworkInput& input) const {
   if (shape[1] < 1 || shape[2] < 1 || shape[1] > kLargestSide || shape[2] > kLargestSide) {
     throw_invalid_argument("image: " + size + " is no size");
   }
-  const auto& image = std::get<GeometryImageSpec>(s.metadata.representation.kind).image;
-  const bool one_size = !s.metadata.topology_hash.empty() && image.coarse_width > 0;
-  if (one_size && (shape[1] != image.coarse_height || shape[2] != image.coarse_width)) {
-    throw_invalid_argument("image: " + size + ", the bundle serves its own mesh at " +
-                           std::to_string(image.coarse_width) + "x" + std::to_string(image.coarse_height));
+  const auto own = s.metadata.topology_hash.empty() ? std::nullopt : s.own_size();
+  if (own && (shape[1] != own->first || shape[2] != own->second)) {
+    throw_invalid_argument("image: " + size + ", the bundle serves its own mesh at " + std::to_string(own->second) +
+                           "x" + std::to_string(own->first));
   }
   if (static_cast<std::int64_t>(input.frames->values.size()) != shape[0] * shape[1] * shape[2]) {
     throw_invalid_argument("image: needs " + std::to_string(shape[0] * shape[1] * shape[2]) + " values, has " +

@@ -14,6 +14,7 @@ constexpr const char* kFormat = "pleat.bundle";
 constexpr int kLargestImageSide = 8192, kMostChannels = 4096;
 constexpr const char* kLayouts[] = {"LAYOUT_PUBLISHED", "LAYOUT_DETAIL", "LAYOUT_POSITIONS"};
 constexpr const char* kBases[] = {"BASE_VERTICES", "BASE_TEXELS"};
+constexpr const char* kRotations[] = {"ROTATION_LOGARITHM", "ROTATION_QUATERNION"};
 constexpr const char* kRules[] = {"SUBDIVISION_RULE_MIDPOINT", "SUBDIVISION_RULE_LOOP"};
 
 /// An object of the document, and how errors name it.
@@ -74,14 +75,25 @@ json ranges_json(const ChannelRanges& ranges) {
   return {{"offset", ranges.offset}, {"scale", ranges.scale}, {"limit", ranges.limit}};
 }
 
+json document_of(const VertexFeatureSpec& features) {
+  return {{"rotation", kRotations[static_cast<std::size_t>(features.rotation)]},
+          {"fixed_axes", features.fixed_axes},
+          {"passes", features.passes},
+          {"anchor_weight", features.anchor_weight}};
+}
+
+json document_of(const GeometryImageSpec& image) {
+  return {{"layout", kLayouts[static_cast<std::size_t>(image.layout)]},
+          {"base", kBases[static_cast<std::size_t>(image.base)]},
+          {"width", image.image.coarse_width},
+          {"height", image.image.coarse_height},
+          {"scale", image.image.scale}};
+}
+
 json document_of(const Metadata& m) {
-  const auto& image = std::get<GeometryImageSpec>(m.representation.kind);
-  return {{"geometry_image",
-           {{"layout", kLayouts[static_cast<std::size_t>(image.layout)]},
-            {"base", kBases[static_cast<std::size_t>(image.base)]},
-            {"width", image.image.coarse_width},
-            {"height", image.image.coarse_height},
-            {"scale", image.image.scale}}},
+  const bool image = std::holds_alternative<GeometryImageSpec>(m.representation.kind);
+  return {{image ? "geometry_image" : "vertex_features",
+           std::visit([](const auto& kind) { return document_of(kind); }, m.representation.kind)},
           {"subdivision_rounds", m.representation.subdivision.rounds},
           {"subdivision_rule", kRules[static_cast<std::size_t>(m.representation.subdivision.rule)]},
           {"window", m.representation.window},
@@ -89,7 +101,16 @@ json document_of(const Metadata& m) {
           {"output", ranges_json(m.output)}};
 }
 
-void read_representation(const Object& object, Metadata& m) {
+VertexFeatureSpec read_features(const Object& features) {
+  VertexFeatureSpec spec;
+  spec.rotation = features.choice<RotationCode>("rotation", kRotations);
+  spec.fixed_axes = features.get<bool>("fixed_axes", false);
+  spec.passes = features.integer("passes", kDefaultPasses, 0, kMostPasses);
+  spec.anchor_weight = features.get<double>("anchor_weight", kDefaultAnchorWeight);
+  return spec;
+}
+
+GeometryImageSpec read_image(const Object& object) {
   const Object image = object.object("geometry_image");
   GeometryImageSpec spec;
   spec.layout = image.choice<ImageLayout>("layout", kLayouts);
@@ -97,7 +118,15 @@ void read_representation(const Object& object, Metadata& m) {
   spec.image.coarse_width = image.integer("width", 0, 0, kLargestImageSide);
   spec.image.coarse_height = image.integer("height", 0, 0, kLargestImageSide);
   spec.image.scale = image.integer("scale", 4, 1, 16);
-  m.representation.kind = spec;
+  return spec;
+}
+
+void read_representation(const Object& object, Metadata& m) {
+  if (object.has("vertex_features")) {
+    m.representation.kind = read_features(object.object("vertex_features"));
+  } else {
+    m.representation.kind = read_image(object);
+  }
   m.representation.subdivision.rounds =
       object.integer("subdivision_rounds", kDefaultSubdivisionRounds, 0, kMaxSubdivisionRounds);
   m.representation.subdivision.rule = object.choice<SubdivisionRule>("subdivision_rule", kRules);
@@ -109,9 +138,18 @@ void read_representation(const Object& object, Metadata& m) {
 }  // namespace
 
 Ports ports_of(const Metadata& metadata) {
-  const auto& image = std::get<GeometryImageSpec>(metadata.representation.kind);
-  return {metadata.representation.window * static_cast<int>(metadata.input.channels()) + metadata.constants,
-          static_cast<int>(metadata.output.channels()), image.image.scale, image.layout == ImageLayout::kDetail};
+  Ports ports;
+  ports.inputs = metadata.representation.window * static_cast<int>(metadata.input.channels()) + metadata.constants;
+  ports.outputs = static_cast<int>(metadata.output.channels());
+  ports.window = metadata.representation.window;
+  if (const auto* image = std::get_if<GeometryImageSpec>(&metadata.representation.kind)) {
+    ports.scale = image->image.scale;
+    ports.detail = image->layout == ImageLayout::kDetail;
+  } else {
+    ports.scale = patch_side(metadata.representation.subdivision.rounds);
+    ports.detail = true;
+  }
+  return ports;
 }
 
 std::string representation_json(const Metadata& metadata) { return document_of(metadata).dump(); }

@@ -24,6 +24,13 @@ void visit(Visitor& v, Config& c) {
   v.value("output", c.output);
   v.value("seed", c.seed);
   v.architecture("architecture", c.architecture);
+  v.choice("representation", c.representation, {"geometry_image", "vertex_features"});
+  v.section("vertex_features", [&] {
+    v.choice("rotation", c.vertex_features.rotation, {"logarithm", "quaternion"});
+    v.choice("axes", c.vertex_features.axes, {"heading", "fixed"});
+    v.range("passes", c.vertex_features.passes, 0, kMostPasses);
+    v.range("anchor_weight", c.vertex_features.anchor_weight, 1e-6, 1e6);
+  });
   v.section("images", [&] {
     v.choice("layout", c.images.layout, {"published", "detail", "positions"});
     v.choice("base", c.images.base, {"vertices", "texels"});
@@ -235,8 +242,11 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   if ((config.images.coarse_width == 0) != (config.images.coarse_height == 0)) {
     throw_invalid_argument(source + ": keys 'images.coarse_width' and 'images.coarse_height' go together");
   }
-  if (config.images.layout != "published" && config.losses.kinematic > 0) {
+  if (!config.published_images() && config.losses.kinematic > 0) {
     throw_invalid_argument(source + ": key 'losses.kinematic' needs velocities, 'images.layout' = 'published'");
+  }
+  if (config.representation == "vertex_features" && (config.patch != 0 || config.mirror)) {
+    throw_invalid_argument(source + ": key 'representation' = 'vertex_features' needs 'patch' = 0 and no 'mirror'");
   }
   if (config.losses.needs_vertices() && config.patch != 0) {
     throw_invalid_argument(source + ": keys 'losses.vertices', '.vertex_normals' and '.edges' need whole images, " +

@@ -20,6 +20,14 @@ struct ImagesConfig {
   double lambda = 1e-4;           ///< smoothness of fitted images
 };
 
+/// How conversion makes vertex features (docs/vertex-features.md).
+struct FeaturesConfig {
+  std::string rotation = "logarithm";  ///< "logarithm" or "quaternion"
+  std::string axes = "heading";        ///< of the values: "heading", turned with the cloth, or "fixed"
+  int passes = 2;                      ///< corrections of an answer's positions by its gradients
+  double anchor_weight = 0.1;
+};
+
 struct LossConfig {
   double displacement = 0.9, normal = 0.03, velocity = 0.03, kinematic = 0.03;  ///< weights of [MFSR] eq. 6
   int frames = 3;                                                               ///< n of eq. 5
@@ -63,8 +71,10 @@ struct TrainConfig {
   std::string output;   ///< folder: NAME.pt, log.csv, checkpoint.pt
   std::uint64_t seed = 1;
   Architecture architecture;
-  ImagesConfig images;
-  int window = 1;  ///< frames that the network reads at once
+  std::string representation = "geometry_image";  ///< or "vertex_features"
+  ImagesConfig images;                            ///< of the former
+  FeaturesConfig vertex_features;                 ///< of the latter
+  int window = 1;                                 ///< frames that the network reads at once
   LossConfig losses;
   OptimizerConfig optimizer;
   ScheduleConfig schedule;
@@ -89,6 +99,8 @@ struct TrainConfig {
   /// Windows that one pass holds; a step adds up the gradients of several. 0: all of them, fewer after the device ran
   /// out of memory.
   int micro_batch = 0;
+  /// Nine channels to nine, in the units of the data set's own normalisation.
+  bool published_images() const { return representation == "geometry_image" && images.layout == "published"; }
   std::string initial;  ///< check-point whose weights begin the training; empty: fresh weights
 };
 

@@ -24,8 +24,12 @@ using nlohmann::json;
 constexpr std::size_t kMeasuredFrames = 256;
 constexpr float kDetailLimit = 6;  ///< folds have curvatures far beyond the deviation
 
-RepresentationSpec make_spec(const TrainConfig& config, const MeshPair& pair) {
-  const ImagesConfig& c = config.images;
+VertexFeatureSpec features_spec(const FeaturesConfig& c) {
+  return {c.rotation == "quaternion" ? RotationCode::kQuaternion : RotationCode::kLogarithm, c.axes == "fixed",
+          c.passes, c.anchor_weight};
+}
+
+GeometryImageSpec image_spec(const ImagesConfig& c) {
   GeometryImageSpec kind;
   kind.layout = c.layout == "detail"      ? ImageLayout::kDetail
                 : c.layout == "positions" ? ImageLayout::kPositions
@@ -37,8 +41,13 @@ RepresentationSpec make_spec(const TrainConfig& config, const MeshPair& pair) {
   kind.image.scale = c.scale;
   kind.image.method = c.method == "sampled" ? FineImageMethod::kSampled : FineImageMethod::kFitted;
   kind.image.lambda = c.lambda;
+  return kind;
+}
+
+RepresentationSpec make_spec(const TrainConfig& config, const MeshPair& pair) {
   RepresentationSpec spec;
-  spec.kind = kind;
+  spec.kind = image_spec(config.images);
+  if (config.representation == "vertex_features") spec.kind = features_spec(config.vertex_features);
   spec.window = config.window;
   const auto subdivision = find_subdivision(pair.coarse, pair.fine);
   if (subdivision && subdivision->rule != SubdivisionRule::kLoop) {
@@ -90,7 +99,7 @@ class Loader {
     data.check();
     if (config_.losses.needs_vertices()) {
       data.mesh_read = make_mesh_read(*representation_);
-      if (config_.images.layout != "published") data.geometry = meshes;
+      if (!config_.published_images()) data.geometry = meshes;
     }
     loaded_.judge = std::make_unique<FrameJudge>(meshes);
     return std::move(loaded_);
@@ -173,7 +182,7 @@ class Loader {
   /// Of the published layout the data set's own; else measured on some frames of the training split.
   void measure_ranges() {
     PairData& data = loaded_.data;
-    const bool published = config_.images.layout == "published";
+    const bool published = config_.published_images();
     if (published && master().normalization) {
       data.input_ranges = data.output_ranges = *master().normalization;
     } else {
@@ -184,8 +193,10 @@ class Loader {
       const std::size_t stride = std::max<std::size_t>(1, training / kMeasuredFrames);
       for (const SequenceInfo& sequence : usable_) {
         if (in_validation(config_, sequence)) continue;
-        converter_.run(sequence, stride, 1, [&](std::uint64_t, Converted& frame) {
-          inputs.add(frame.input, representation_->input_mask());
+        converter_.run(sequence, stride, config_.window, [&](std::uint64_t, Converted& frame) {
+          // The newest frame, which comes last.
+          const std::size_t one = frame.input.values.size() / static_cast<std::size_t>(config_.window);
+          inputs.add(std::span(frame.input.values).last(one), representation_->input_mask());
           answers.add(frame.answer, representation_->answer_mask());
         });
       }
@@ -211,8 +222,10 @@ class Loader {
     std::error_code error;
     const auto written = std::filesystem::last_write_time(file, error).time_since_epoch().count();
     const ImagesConfig& c = config_.images;
+    const FeaturesConfig& f = config_.vertex_features;
     const json content{{"topology", {loaded_.data.topology_hash, info.topology_hash}},
                        {"images", {c.layout, c.base, key_.width, key_.height, c.scale, c.method, c.lambda}},
+                       {"representation", {config_.representation, f.rotation, f.axes}},
                        {"window", config_.window},
                        {"input", ranges_json(loaded_.data.input_ranges)},
                        {"output", ranges_json(loaded_.data.output_ranges)},
@@ -276,7 +289,7 @@ class Loader {
         meshes.add(index, k, std::move(reader_.coarse(info.name, k, k + 1).at(0)),
                    std::move(reader_.fine(info.name, k, k + 1).at(0)));
       }
-    } else if (config_.losses.needs_vertices() && config_.images.layout != "published") {
+    } else if (config_.losses.needs_vertices() && !config_.published_images()) {
       auto coarse = reader_.coarse(info.name, 0, info.frames_complete);
       for (std::size_t k = 0; k < coarse.size(); k += stride) meshes.add(index, k / stride, std::move(coarse[k]), {});
     }

@@ -139,8 +139,10 @@ Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, cons
   if (config.scaling == "deviation") error = error / constants.deviation.square().view({1, -1, 1, 1});
   error = error * batch.mask;
   const auto texels = batch.mask.sum() * 3;
+  // What further channels there are belongs to the last three.
   const auto part = [&](int first) {
-    return first < error.size(1) ? error.index({Slice(), Slice(first, first + 3)}).sum() / texels
+    const auto last = first == 6 ? error.size(1) : first + 3;
+    return first < error.size(1) ? error.index({Slice(), Slice(first, last)}).sum() / texels
                                  : torch::zeros({}, error.options());
   };
   Losses losses;

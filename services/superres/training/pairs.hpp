@@ -120,6 +120,8 @@ struct PairData {
   int constant_channels() const { return constants.shape.empty() ? 0 : static_cast<int>(constants.shape[0]); }
   /// An answer of zeros is the upsampled coarse mesh.
   bool detail() const;
+  /// Its vectors are in the cloth's own axes.
+  bool has_axes() const;
   std::size_t training_frames() const;
   /// Throws kInvalidArgument unless there are training sequences, sizes agree, and every sequence has at least one
   /// frame.

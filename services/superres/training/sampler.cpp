@@ -152,7 +152,7 @@ Batch Sampler::batch(int epoch, int step, int first_window, int last_window) con
   batch.rotations = torch::empty({images, 3, 3});
   if (rest_.defined()) {
     batch.vertex_base = torch::empty({images, 3, rest_.size(1)});
-    if (data_.geometry && data_.detail()) batch.axes = torch::empty({images, 9, h, w});
+    if (data_.geometry && data_.has_axes()) batch.axes = torch::empty({images, 9, h, w});
   }
   for (int index = first_window; index < last_window; ++index) {
     const Window& window = windows[static_cast<std::size_t>(index)];

@@ -66,8 +66,11 @@ constexpr std::size_t kMeasuredFrames = 256;
 /// What a network is put between.
 Ports ports_of(const PairData& data) {
   data.check();
-  return {data.sequences.front().input.channels() + data.constant_channels(), data.sequences.front().answer.channels(),
-          data.scale(), data.detail()};
+  return {.inputs = data.sequences.front().input.channels() + data.constant_channels(),
+          .outputs = data.sequences.front().answer.channels(),
+          .scale = data.scale(),
+          .detail = data.detail(),
+          .window = data.representation.window};
 }
 
 torch::Tensor read_image(const ImageStore& store, std::size_t frame) {
@@ -398,7 +401,7 @@ class Trainer {
                           .to(torch::kFloat32);
     const auto error = (image - read_image(answer, frame)).square() * mask;
     auto result = torch::zeros({3}, torch::kFloat64);
-    const auto sums = error.view({answer.channels() / 3, -1}).sum(1).to(torch::kFloat64);
+    const auto sums = error.view({answer.channels() / 3, -1}).sum(1).to(torch::kFloat64).slice(0, 0, 3);
     result.slice(0, 0, sums.size(0)) += sums / (3 * mask.sum().item<double>());
     return result;
   }

@@ -71,6 +71,20 @@ class TrainProgram : public testing::Test {
   const fs::path root_ = temporary_.path();
 };
 
+TEST_F(TrainProgram, TokensLearnFromVertexFeatures) {
+  const std::string tokens =
+      "$TRAIN --set 'architecture={\"kind\": \"tokens\", \"features\": 8, \"heads\": 2, \"blocks\": 1, \"hidden\": "
+      "16}' "
+      "--set representation=vertex_features --set window=2 --set mirror=false --set epochs=8 "
+      "--set optimizer.learning_rate=0.01 --set losses.vertex_normals=0.1 --set output=tokens";
+  ASSERT_EQ(shell(tokens), 0) << said();
+  const auto curve = rows("tokens");
+  ASSERT_EQ(curve.size(), 8U) << said();
+  // Column 3: the whole loss.
+  EXPECT_LT(curve.back().at(3), 0.7 * curve.front().at(3)) << said();
+  EXPECT_TRUE(fs::exists(root_ / "tokens/small.pt"));
+}
+
 TEST_F(TrainProgram, KilledAndResumedTrainingHasTheSameCurve) {
   ASSERT_EQ(shell("$TRAIN --set output=whole"), 0) << said();
   // The process is killed when it has written the rows of two epochs.

@@ -72,6 +72,29 @@ TEST(Metadata, PortsCountFramesAndConstants) {
   EXPECT_TRUE(ports.detail);
 }
 
+TEST(Metadata, VertexFeaturesComeBack) {
+  Metadata m = example();
+  VertexFeatureSpec features;
+  features.rotation = RotationCode::kQuaternion;
+  features.fixed_axes = true;
+  features.passes = 0;
+  features.anchor_weight = 0.5;
+  m.representation.kind = features;
+  m.representation.subdivision = {3};
+  m.architecture = complete({"tokens", "{}"});
+  const Metadata back = metadata_from_json(to_json(m), "x");
+  EXPECT_EQ(to_json(back), to_json(m));
+  const auto& read = std::get<VertexFeatureSpec>(back.representation.kind);
+  EXPECT_EQ(read.rotation, RotationCode::kQuaternion);
+  EXPECT_TRUE(read.fixed_axes);
+  EXPECT_EQ(read.passes, 0);
+  EXPECT_EQ(read.anchor_weight, 0.5);
+  const Ports ports = ports_of(back);
+  EXPECT_EQ(ports.scale, 7);
+  EXPECT_EQ(ports.window, 3);
+  EXPECT_TRUE(ports.detail);
+}
+
 TEST(Metadata, EveryRequiredKeyIsMissedByName) {
   for (const char* key : {"format", "version", "name", "architecture", "representation", "topology_hash", "velocity"}) {
     const Error error = error_of([&](json& d) { d.erase(key); });

@@ -168,6 +168,31 @@ TEST_F(LoadPairs, DetailOfAnyRoundsAndRule) {
   }
 }
 
+TEST_F(LoadPairs, VertexFeaturesHaveAPlaceForEachFace) {
+  write(true);
+  TrainConfig c = config();
+  c.representation = "vertex_features", c.window = 2;
+  c.patch = 0, c.losses.kinematic = 0, c.losses.vertices = 1;
+  const LoadedPairs loaded = load_pairs(c, quiet);
+  const PairData& data = loaded.data;
+  EXPECT_TRUE(data.detail());
+  EXPECT_FALSE(data.has_axes());
+  EXPECT_EQ(data.height(), 1);
+  EXPECT_EQ(data.width(), master_.topology.coarse.face_count());
+  EXPECT_EQ(data.scale(), 4);
+  EXPECT_EQ(data.input_ranges.channels(), 45U);
+  EXPECT_EQ(data.sequences[0].input.channels(), 90);
+  EXPECT_EQ(data.output_ranges.offset, std::vector<float>(9, 0.0F));
+  EXPECT_EQ(data.constant_channels(), 27);
+  const ImageStore& answers = data.sequences[1].answer;
+  std::vector<float> answer(static_cast<std::size_t>(9 * 16 * data.width())), nothing(answer.size(), 0.0F);
+  answers.read(2, 0, 0, 4, 4 * data.width(), answer.data());
+  const double upsampled = loaded.judge->barycentric_squared_error(1, 2);
+  EXPECT_LT(loaded.judge->squared_error(1, 2, answer), 1e-4 * upsampled);
+  EXPECT_NEAR(loaded.judge->squared_error(1, 2, nothing), upsampled, 1e-4 * upsampled);
+  EXPECT_EQ(data.mesh_read.vertex_count(), master_.topology.fine.vertex_count());
+}
+
 TEST_F(LoadPairs, WindowsShowTheFramesBefore) {
   write(true);
   TrainConfig c = config();
