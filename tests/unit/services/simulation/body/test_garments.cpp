@@ -7,7 +7,8 @@
 #include <utility>
 
 #include "common/mesh/obj.hpp"
-#include "services/simulation/body/character_file.hpp"
+#include "services/simulation/body/animated_body.hpp"
+#include "services/simulation/simulation.hpp"
 #include "tests/support/cgal_judge.hpp"
 
 namespace pleat::body {
@@ -59,6 +60,37 @@ TEST_P(WornGarments, HaveThePapersTopologyAndEncloseTheBodyCleanly) {
   frame.positions = body.mesh.rest_positions;
   const auto judgement = test::judge(garment.rest_positions, garment.faces, {&shape, 1}, {&frame, 1});
   EXPECT_TRUE(judgement.clean()) << judgement.first;
+}
+
+TEST_P(WornGarments, StayOnTheDancerAndClean) {
+  const std::filesystem::path deploy = std::filesystem::path(std::getenv("PLEAT_SOURCE_DIR")) / "deploy";
+  const AnimatedBody dancer({deploy / "bodies/young-female.glb", deploy / "bodies/lambada.amc", ""}, {.ease_frames = 5},
+                            Skinning::kLinear);
+  simulation::Scene scene;
+  scene.name = GetParam().name;
+  scene.garment = read_obj(deploy / "garments" / (scene.name + ".obj"));
+  scene.material = simulation::read_material(deploy / "materials/isotropic-medium.json");
+  scene.frames = 13;
+  scene.steps_per_frame = 4;
+  scene.contact.obstacle_friction = 0.6;
+  scene.threads = 1;
+  simulation::Obstacle body;
+  body.name = "body";
+  body.mesh = dancer.mesh().mesh;
+  for (std::size_t k = 0; k < 14; ++k) body.animation.samples.push_back(dancer.positions(k));
+  scene.obstacles.push_back(body);
+
+  simulation::Simulation simulation(scene, simulation::Mode::kCoarse);
+  const auto shapes = simulation.obstacle_shapes();
+  const float top = scene.garment.rest_positions.col(1).maxCoeff();
+  for (int k = 0; k < scene.frames; ++k) {
+    const simulation::SimulatedFrame frame = simulation.next_frame();
+    EXPECT_EQ(frame.report.cut_steps, 0u) << k;
+    EXPECT_GT(frame.coarse.positions.col(1).maxCoeff(), top - 0.12f) << k;
+    if (k % 4 != 0) continue;
+    const auto judgement = test::judge(frame.coarse.positions, scene.garment.faces, shapes, frame.obstacles);
+    EXPECT_TRUE(judgement.clean()) << k << ": " << judgement.first;
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Garments, WornGarments,
