@@ -2,6 +2,7 @@
 """A contact sheet of scenes: coarse cloth, fold step, tracked and free simulation side by side, as a PNG.
 
     docs/images/contact_sheet.py FOLDER OUT.png [--scenes draping,hitting] [--frames 20,40,60] [--kinds coarse,fold,tracked,free] [--size 200]
+        [--across]
 
 FOLDER has SCENE-fold.h5 (bench_fold_step), SCENE-tracked.h5 and SCENE-free.h5 (bench_record_fine) of 61 frames for every
 scene. Needs Debian's python3-numpy and python3-h5py.
@@ -24,6 +25,7 @@ def main():
     parser.add_argument("--frames", default="20,40,60")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--size", type=int, default=200, help="pixels of one picture")
+    parser.add_argument("--across", action="store_true", help="scenes side by side, not one below the other")
     options = parser.parse_args()
     film_strip.SIZE = options.size
     rows = []
@@ -39,8 +41,9 @@ def main():
                     picture = film_strip.Picture(coarse.min(0) - 0.03, coarse.max(0) + 0.03)
                     picture.draw(result[f"{level}/positions"][frame].astype(float), faces, film_strip.CLOTH)
                     pictures.append(picture.image)
-        rows.append(np.hstack(pictures))
-    film_strip.write_png(options.out, np.ascontiguousarray(np.vstack(rows)))
+        rows.append(np.vstack(pictures) if options.across else np.hstack(pictures))
+    sheet = np.hstack(rows) if options.across else np.vstack(rows)
+    film_strip.write_png(options.out, np.ascontiguousarray(sheet))
 
 
 if __name__ == "__main__":
