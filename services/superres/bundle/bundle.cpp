@@ -4,6 +4,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/whole_file.hpp"
+#include "services/superres/bundle/archive.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -22,6 +23,7 @@ void save_bundle(const torch::jit::Module& module, const Metadata& metadata, con
 }
 
 torch::jit::Module load_module(const std::string& path, std::string& metadata) {
+  check_archive(path);
   torch::jit::ExtraFilesMap extra{{kMetadataFile, ""}};
   torch::jit::Module module;
   try {

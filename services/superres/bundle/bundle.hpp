@@ -15,7 +15,7 @@ namespace pleat::superres {
 /// is full.) Errors: kResourceExhausted or kInvalidArgument naming the file.
 void save_bundle(const torch::jit::Module& module, const Metadata& metadata, const std::string& path);
 
-/// The module, and in `metadata` the text of pleat.json. kDataLoss for a truncated or unreadable archive,
+/// The module, and in `metadata` the text of pleat.json. kDataLoss for a truncated, damaged or unreadable archive,
 /// kInvalidArgument without pleat.json.
 torch::jit::Module load_module(const std::string& path, std::string& metadata);
 
