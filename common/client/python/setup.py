@@ -4,7 +4,7 @@ from setuptools import setup
 
 setup(
     name="pleat",
-    version="0.1.0",
+    version="0.2.0",
     description="Client of Pleat: coarse cloth frames in, detailed collision-free fine frames out",
     license="Apache-2.0",
     packages=["pleat", "pleat.v1"],
