@@ -23,6 +23,7 @@
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/exit_codes.hpp"
 #include "common/base/runtime_folder.hpp"
 #include "common/rpc/frame_bytes.hpp"
 #include "common/rpc/pem.hpp"
@@ -227,11 +228,10 @@ int service_main(const std::string& program, const std::function<int()>& body) {
     return body();
   } catch (const Error& error) {
     std::fprintf(stderr, "%s: %s\n", program.c_str(), error.what());
-    const bool usage = error.code() == ErrorCode::kInvalidArgument || error.code() == ErrorCode::kNotFound;
-    return usage ? 2 : 1;
+    return exit_code(error.code());
   } catch (const std::exception& error) {
     std::fprintf(stderr, "%s: %s\n", program.c_str(), error.what());
-    return 1;
+    return kExitFailed;
   }
 }
 

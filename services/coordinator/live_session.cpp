@@ -120,14 +120,14 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     if (open.has_subdivision_rule()) session.representation.set_subdivision_rule(open.subdivision_rule());
     admit(coarse_vertices_, subdivision_from(session.representation).rounds, owner_.settings_.max_vertices,
           "open.coarse");
-    if (uses_network(session.detail)) {
-      session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
-    }
     session.obstacles = open.obstacles();
     if (open.has_clearance_m()) session.clearance_m = open.clearance_m();
     session.skip_refinement = open.skip_refinement();
     session.window = window_;
-    const Subdivision subdivision = subdivision_of(session, coarse);
+    const Subdivision subdivision = subdivision_of(session, coarse, [&] {
+      if (!uses_network(session.detail)) return;
+      session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
+    });
 
     EnhancementPipeline pipeline(
         owner_.addresses_, owner_.link_, session, static_cast<std::size_t>(subdivision.fine.vertex_count()),

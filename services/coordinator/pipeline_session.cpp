@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <future>
 #include <thread>
 
 #include "common/frame/representation_messages.hpp"
@@ -114,8 +115,12 @@ v1::ConversionOpened describe_conversion(const ServiceAddresses& addresses, cons
                                    });
 }
 
-Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse) {
-  Subdivision subdivision = subdivide(coarse, subdivision_from(session.representation));
+Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse,
+                           const std::function<void()>& meanwhile) {
+  auto made =
+      std::async([&coarse, spec = subdivision_from(session.representation)] { return subdivide(coarse, spec); });
+  if (meanwhile) meanwhile();
+  Subdivision subdivision = made.get();
   check_fine_hash(session.conversion.fine().hash(), topology_hash(subdivision.fine));
   return subdivision;
 }

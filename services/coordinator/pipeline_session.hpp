@@ -68,7 +68,9 @@ void check_fine_hash(const std::string& hash, const std::string& expected);
 
 /// The fine mesh of a session, and how it comes from the coarse one. Throws kInternal unless it is the one that
 /// conversion has described.
-Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse);
+/// meanwhile: done while the mesh is made, for example to ask conversion, which makes the same one for itself.
+Subdivision subdivision_of(const PipelineSession& session, const Topology& coarse,
+                           const std::function<void()>& meanwhile = {});
 
 /// Throws kFailedPrecondition, saying what differs, if frames of the bundle that describes itself as `now` must not
 /// follow those of `before`. Where it runs (device, precision) may change.

@@ -192,14 +192,18 @@ void LeanCloth::sort_into_cells() {
     high = max(high, x_[p]);
   }
   corner_ = low;
-  for (int k = 0; k < 3; ++k) cells_[static_cast<std::size_t>(k)] = static_cast<int>((high[k] - low[k]) / search_) + 1;
-  cell_begin_.assign(
-      static_cast<std::size_t>(cells_[0]) * static_cast<std::size_t>(cells_[1]) * static_cast<std::size_t>(cells_[2]) +
-          1,
-      0);
+  // Cells may be larger than the search: a fine sheet leaves most of its box empty, and empty cells cost as well.
+  const auto cells_of = [&](float side) {
+    for (int k = 0; k < 3; ++k) cells_[static_cast<std::size_t>(k)] = static_cast<int>((high[k] - low[k]) / side) + 1;
+    return static_cast<std::size_t>(cells_[0]) * static_cast<std::size_t>(cells_[1]) *
+           static_cast<std::size_t>(cells_[2]);
+  };
+  float side = search_;
+  while (cells_of(side) > std::size_t{32} * count) side *= 1.1F;
+  cell_begin_.assign(cells_of(side) + 1, 0);
   cell_of_.resize(count);
   for (std::uint32_t p = 0; p < count; ++p) {
-    const Float4 place = (x_[p] - corner_) / search_;
+    const Float4 place = (x_[p] - corner_) / side;
     cell_of_[p] = static_cast<std::uint32_t>(
         (static_cast<int>(place[2]) * cells_[1] + static_cast<int>(place[1])) * cells_[0] + static_cast<int>(place[0]));
     ++cell_begin_[cell_of_[p] + 1];

@@ -228,7 +228,8 @@ TEST_F(JobsTest, AReplacedBundleFailsTheJobThatMeetsIt) {
   fakes_.superres().start();
   const v1::Job job = finished("a");
   EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
-  EXPECT_NE(job.error().find("replaced meanwhile by one with another representation"), std::string::npos) << job.error();
+  EXPECT_NE(job.error().find("replaced meanwhile by one with another representation"), std::string::npos)
+      << job.error();
   expect_right(job.result_path(), job.frames_complete());
 }
 
