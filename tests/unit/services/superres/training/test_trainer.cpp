@@ -325,7 +325,7 @@ TEST_F(TrainerTest, EveryRegisteredNetworkLearns) {
   const PairData data = waves(2, 6);
   for (const std::string& kind : network_kinds()) {
     TrainConfig c = config(kind);
-    c.architecture = complete({kind, R"({"blocks": 2, "features": 6})"});
+    c.architecture = complete({kind, R"({"blocks": 2, "features": 8})"});
     c.patch = 0;
     c.losses.kinematic = 0;
     c.schedule.kind = "constant";
