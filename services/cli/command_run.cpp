@@ -208,6 +208,8 @@ class Run {
     const v1::Detail detail = job.summary().detail();
     summary.extra["detail"] = name_of(detail == v1::DETAIL_UNSPECIFIED ? v1::DETAIL_NETWORK : detail);
     summary.extra["frame_errors"] = job.summary().frame_errors();
+    summary.extra["pinched_frames"] = job.summary().pinched_frames();
+    summary.extra["pinch_depth_mm"] = 1e3 * static_cast<double>(job.summary().pinch_depth_m());
     return write_reports(out_, std::move(summary));
   }
 

@@ -84,6 +84,8 @@ std::string to_json(const JobRecord& record) {
                                     {"penetrations", record.penetrations},
                                     {"self_intersections", record.self_intersections},
                                     {"frame_errors", record.frame_errors},
+                                    {"pinched_frames", record.pinched_frames},
+                                    {"pinch_depth_m", record.pinch_depth_m},
                                     {"warnings", record.warnings}};
   // Messages may quote what a client sent: what is not UTF-8 must not stop a record from being written.
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
@@ -115,7 +117,9 @@ JobRecord job_from_json(const std::string& text, const std::string& origin) {
     json.at("penetrations").get_to(record.penetrations);
     json.at("self_intersections").get_to(record.self_intersections);
     json.at("frame_errors").get_to(record.frame_errors);
-    record.warnings = json.value("warnings", record.warnings);  // older records have none
+    record.pinched_frames = json.value("pinched_frames", 0U);  // older records have neither of these
+    record.pinch_depth_m = json.value("pinch_depth_m", 0.0F);
+    record.warnings = json.value("warnings", record.warnings);
     if (!is_valid_job_id(record.id)) throw_data_loss("bad job id");
     return record;
   } catch (const std::exception& e) {

@@ -40,6 +40,8 @@ struct JobRecord {
   std::uint32_t penetrations = 0;
   std::uint32_t self_intersections = 0;
   std::uint32_t frame_errors = 0;
+  std::uint32_t pinched_frames = 0;   ///< with cloth between parts of an obstacle that left no room for it
+  float pinch_depth_m = 0;            ///< how far the obstacle stayed behind its script for that at most, metres
   std::vector<std::string> warnings;  ///< of the simulation, a line each, each once
 
   bool operator==(const JobRecord&) const = default;

@@ -219,6 +219,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
     const bool failed = frame->error.has_value();
     const std::uint32_t penetrations = frame->report.penetrations_after();
     const std::uint32_t self_intersections = frame->report.self_intersections_after();
+    const auto pinch = frame->pinch;
     // The frame belongs to nobody else any more: its arrays go to the watchers without a copy.
     job.feed.publish(frame->index, make_event(*frame));
     table_.update(job.id, [&](JobRecord& record) {
@@ -226,6 +227,8 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
       record.penetrations += penetrations;
       record.self_intersections += self_intersections;
       record.frame_errors += failed ? 1 : 0;
+      record.pinched_frames += pinch ? 1 : 0;
+      if (pinch) record.pinch_depth_m = std::max(record.pinch_depth_m, pinch->depth_m());
       record.wall_s = earlier_s + wall.milliseconds() * 1e-3;
     });
   };
@@ -287,6 +290,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
           frame->coarse.Swap(simulated.mutable_coarse());
           frame->obstacles.Swap(simulated.mutable_obstacles());
           frame->stage_times.Swap(simulated.mutable_stage_times());
+          if (simulated.has_pinch()) frame->pinch = simulated.pinch();
           return pipeline.push(std::move(frame));
         });
       }

@@ -37,6 +37,7 @@ struct PipelineFrame {
   v1::FoldReport fold;
   std::shared_ptr<const FoldMemory> fold_memory;  ///< after fold
   v1::RefinementReport report;
+  std::optional<v1::PinchReport> pinch;  ///< of the simulation
   StageTimes stage_times;
   std::optional<v1::FrameError> error;  ///< set: no stage touches the frame any more, it only keeps its place
 

@@ -40,6 +40,7 @@ EventPtr make_event(PipelineFrame& frame) {
   enhanced.mutable_coarse()->Swap(&frame.coarse);
   enhanced.mutable_coarse()->clear_velocities();
   enhanced.mutable_report()->Swap(&frame.report);
+  if (frame.pinch) *enhanced.mutable_coarse_pinch() = *frame.pinch;
   if (frame.fold.steps() > 0) enhanced.mutable_fold()->Swap(&frame.fold);
   enhanced.mutable_stage_times()->Swap(&frame.stage_times);
   enhanced.mutable_obstacles()->Swap(&frame.obstacles);

@@ -308,6 +308,8 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   summary.set_device(record.device);
   summary.set_precision(record.precision);
   summary.set_frame_errors(record.frame_errors);
+  summary.set_pinched_frames(record.pinched_frames);
+  summary.set_pinch_depth_m(record.pinch_depth_m);
   summary.set_detail(detail_named(record.detail));
   for (const std::string& warning : record.warnings) job.add_warnings(warning);
   return job;

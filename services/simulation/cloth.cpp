@@ -191,6 +191,7 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
   report_.impacts += resolution.impacts;
   report_.rigid_zones += resolution.rigid_zones;
   report_.cut_steps += resolution.cut ? 1 : 0;
+  report_.stopped_vertices = std::max(report_.stopped_vertices, resolution.stopped);
   report_.yielded_steps += resolution.yielded ? 1 : 0;
   report_.assembly_ms += dynamics_.assembly_ms();
   report_.solve_ms += dynamics_.solve_ms();
@@ -206,6 +207,15 @@ double Cloth::handle_lag(std::size_t handle, double time_s) const {
   double lag = 0;
   for (std::size_t i = 0; i < state.vertices.size(); ++i) {
     lag = std::max(lag, (pose.apply(state.anchors[i]) - positions_[state.vertices[i]]).norm());
+  }
+  return lag;
+}
+
+double Cloth::obstacle_lag(double time_s) const {
+  const Points scripted = contact_.obstacle_particles(time_s);
+  double lag = 0;
+  for (std::size_t i = 0; i < scripted.size(); ++i) {
+    lag = std::max(lag, (scripted[i] - positions_[vertex_count() + i]).norm());
   }
   return lag;
 }

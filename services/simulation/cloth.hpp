@@ -28,6 +28,7 @@ struct HandleState {
 /// Sums over the steps since take_report().
 struct ClothReport {
   std::uint64_t contacts = 0, impacts = 0, rigid_zones = 0, cut_steps = 0, yielded_steps = 0, solver_iterations = 0;
+  std::uint64_t stopped_vertices = 0;  ///< the most in one of the cut steps
   double total_ms = 0, assembly_ms = 0, solve_ms = 0, contact_ms = 0;
 };
 
@@ -79,6 +80,8 @@ class Cloth {
   ClothReport take_report();
   /// Metres by which the hard handle's vertices lag behind its script at most, at a time. 0 unless it is active.
   double handle_lag(std::size_t handle, double time_s) const;
+  /// Metres by which a point of an obstacle is behind its script at most, at a time.
+  double obstacle_lag(double time_s) const;
 
   /// The state that a step changes, for check-points.
   template <typename Archive>

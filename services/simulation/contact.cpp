@@ -558,7 +558,8 @@ bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<c
 // The last resort, from wanted_, can't fail: what collides makes a part of its motion only, at the third collision none
 // of it; an obstacle as a whole. What stands still is as clean as the start was, and in the end everything may stand
 // still.
-void ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
+// Returns how many vertices of the cloth were stopped.
+std::uint64_t ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
   const auto body = [&](std::uint32_t particle) {
     return particle < cloth_count_ ? particle : first_particle_[obstacle_of(particle)];
   };
@@ -592,7 +593,10 @@ void ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
         next[b] = std::min(next[b], collisions[b] < 2 ? 0.8 * times[p] * part[b] : 0.0);
       }
     }
-    if (clean) return;
+    if (clean) {
+      const auto cloth_end = part.begin() + static_cast<std::ptrdiff_t>(cloth_count_);
+      return static_cast<std::uint64_t>(std::count_if(part.begin(), cloth_end, [](double made) { return made < 1; }));
+    }
     part = next;
     for (std::uint32_t i = 0; i < particle_count_; ++i) {
       collisions[i] = static_cast<std::uint8_t>(collisions[i] + hit[i]);
@@ -600,6 +604,7 @@ void ContactSystem::cut(const Points& start, Points& end, ThreadPool& pool) {
     }
   }
   end = start;
+  return cloth_count_;
 }
 
 Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<const double> inverse_masses,
@@ -626,7 +631,7 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
     if (resolve_rounds(start, end, masses, pool, impacts, result)) return result;
   }
   end = wanted_;
-  cut(start, end, pool);
+  result.stopped = cut(start, end, pool);
   result.cut = true;
   return result;
 }

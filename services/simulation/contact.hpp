@@ -25,8 +25,9 @@ struct Resolution {
   std::uint64_t impacts = 0;
   std::uint64_t rigid_zones = 0;
   std::uint64_t rounds = 0;
-  bool yielded = false;  ///< hard handles gave way to what stood against them
-  bool cut = false;      ///< what collides was stopped: obstacles and hard handles may lag behind their script
+  bool yielded = false;       ///< hard handles gave way to what stood against them
+  bool cut = false;           ///< what collides was stopped: obstacles and hard handles may lag behind their script
+  std::uint64_t stopped = 0;  ///< cloth vertices that were, by a cut
 };
 
 /// A place where a state is not clean.
@@ -110,7 +111,7 @@ class ContactSystem {
   std::optional<Collision> collide(const Pair& pair, const Points& start, const Points& end) const;
   bool resolve_rounds(const Points& start, Points& end, std::span<const double> inverse_masses, ThreadPool& pool,
                       std::vector<Impact>& impacts, Resolution& result);
-  void cut(const Points& start, Points& end, ThreadPool& pool);
+  std::uint64_t cut(const Points& start, Points& end, ThreadPool& pool);
   void find_pairs(const Points& start, const Points& end, ThreadPool& pool);
   void add_round_pairs(const Points& start, const Points& end, double margin);
   template <typename Add>

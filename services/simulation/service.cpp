@@ -78,6 +78,10 @@ void fill(const SimulatedFrame& frame, v1::SimulatedFrame* message) {
   if (frame.fine) to_message(*frame.fine, message->mutable_fine());
   for (const ObstacleFrame& obstacle : frame.obstacles) *message->add_obstacles() = to_message(obstacle);
   for (const std::string& warning : frame.warnings) message->add_warnings(warning);
+  if (frame.report.pinched_vertices > 0 || frame.report.obstacle_lag_m > 0) {
+    message->mutable_pinch()->set_vertices(static_cast<std::uint32_t>(frame.report.pinched_vertices));
+    message->mutable_pinch()->set_depth_m(static_cast<float>(frame.report.obstacle_lag_m));
+  }
   const auto add_time = [&](const char* stage, double ms) {
     auto* time = message->add_stage_times();
     time->set_stage(stage);

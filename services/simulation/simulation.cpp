@@ -26,6 +26,8 @@ using Eigen::Vector3d;
 // Check-points: a header, then the raw values in the order of Cloth::archive, little-endian as the machine has them.
 constexpr char kMagic[8] = {'p', 'l', 'e', 'a', 't', 's', 'i', 'm'};
 constexpr std::uint32_t kVersion = 1;
+// Metres. An obstacle that is nearer to its script than this is where it should be.
+constexpr double kLag = 1e-6;
 
 class Writer {
  public:
@@ -262,9 +264,11 @@ struct Simulation::State {
   std::optional<HandleWatch> handle_watch;
   std::uint64_t next = 0;
   bool cut_told = false;
+  bool pinched = true;  ///< an obstacle may be behind its script: looked at until none is
   std::vector<Pin> springs;
   Points targets;  // the upsampled coarse surface, where averages follow it
   Positions last_coarse, last_fine;
+  std::optional<std::uint64_t> fingerprint_;
 
   State(Scene s, Mode m)
       : scene((validate_scene(s), std::move(s))), mode(m), pool(static_cast<std::size_t>(scene.threads)) {
@@ -311,6 +315,12 @@ struct Simulation::State {
   void make_clean(Cloth& cloth) {
     if (scene.untangle) cloth.untangle(pool);
     cloth.check_start(pool);
+  }
+
+  /// Computed once: a long animation is a hundred megabytes.
+  std::uint64_t fingerprint() {
+    if (!fingerprint_) fingerprint_ = scene_fingerprint(scene, mode);
+    return *fingerprint_;
   }
 
   double frame_time(std::uint64_t index) const { return static_cast<double>(index) * scene.frame_time_s; }
@@ -451,6 +461,13 @@ SimulatedFrame Simulation::next_frame() {
   frame.report = {coarse.contacts + fine.contacts,           coarse.impacts + fine.impacts,
                   coarse.rigid_zones + fine.rigid_zones,     coarse.cut_steps + fine.cut_steps,
                   coarse.yielded_steps + fine.yielded_steps, coarse.solver_iterations + fine.solver_iterations};
+  // What lags catches up at some speed: also in frames after the one that was cut.
+  s.pinched = s.pinched || coarse.stopped_vertices > 0;
+  if (s.pinched) {
+    frame.report.pinched_vertices = coarse.stopped_vertices;
+    frame.report.obstacle_lag_m = s.coarse->obstacle_lag(frame.coarse.time_s);
+    s.pinched = frame.report.obstacle_lag_m > kLag;
+  }
   if (frame.report.cut_steps > 0 && !std::exchange(s.cut_told, true)) {
     frame.warnings.push_back(s.cut_warning(frame));
   }
@@ -463,7 +480,7 @@ std::vector<std::byte> Simulation::checkpoint() const {
   Writer writer(bytes);
   writer.raw(kMagic, sizeof(kMagic));
   writer.value(kVersion);
-  writer.value(scene_fingerprint(state_->scene, state_->mode));
+  writer.value(state_->fingerprint());
   state_->archive(writer);
   writer.value(Hash().add(bytes).value());
   return bytes;
@@ -486,13 +503,14 @@ void Simulation::restore(std::span<const std::byte> bytes) {
   }
   if (Hash().add(content).value() != hash) throw_data_loss("simulation check-point: truncated or corrupt");
   reader.value(fingerprint);
-  if (fingerprint != scene_fingerprint(state_->scene, state_->mode)) {
+  if (fingerprint != state_->fingerprint()) {
     throw_invalid_argument("simulation check-point: belongs to another scene");
   }
   // A check-point that turns out wrong half-way must leave the simulation as it was.
   const std::vector<std::byte> backup = checkpoint();
   try {
     state_->archive(reader);
+    state_->pinched = true;
     if (!reader.at_end()) throw_data_loss("simulation check-point: too long");
   } catch (const Error&) {
     Reader undo(backup);

@@ -39,6 +39,10 @@ struct ContactReport {
   std::uint64_t cut_steps = 0;      ///< steps that had to be cut
   std::uint64_t yielded_steps = 0;  ///< steps in which a hard handle gave way
   std::uint64_t solver_iterations = 0;
+  /// Of the coarse cloth, where steps had to be cut: vertices that had no room, the most in a step, and how far the
+  /// obstacles are behind their script for it at the frame's end, metres.
+  std::uint64_t pinched_vertices = 0;
+  double obstacle_lag_m = 0;
 };
 
 struct SimulatedFrame {

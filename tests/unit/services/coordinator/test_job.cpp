@@ -32,6 +32,8 @@ JobRecord sample() {
   record.penetrations = 1;
   record.self_intersections = 2;
   record.frame_errors = 3;
+  record.pinched_frames = 4;
+  record.pinch_depth_m = 0.0125F;
   record.warnings = {"handle 0 can't follow", "a second"};
   return record;
 }

@@ -28,7 +28,8 @@ double distance_to_cloth(const Vector3d& p, const Positions& x, const Faces& fac
 struct Outcome {
   int self_intersections = 0;
   double sphere_clearance = 1e30;  // the smallest distance of the cloth from a sphere's surface
-  std::uint64_t impacts = 0, contacts = 0, cut_steps = 0;
+  std::uint64_t impacts = 0, contacts = 0, cut_steps = 0, pinched_vertices = 0;
+  double lag = 0, last_lag = 0;  // of obstacles behind their script, metres
   Positions last;
 };
 
@@ -54,6 +55,9 @@ Outcome run(const Scene& scene, int frames, Mode mode = Mode::kCoarse) {
     outcome.impacts += frame.report.impacts;
     outcome.contacts += frame.report.contacts;
     outcome.cut_steps += frame.report.cut_steps;
+    outcome.pinched_vertices = std::max(outcome.pinched_vertices, frame.report.pinched_vertices);
+    outcome.last_lag = frame.report.obstacle_lag_m;
+    outcome.lag = std::max(outcome.lag, outcome.last_lag);
     outcome.last = frame.coarse.positions;
   }
   return outcome;
@@ -141,6 +145,14 @@ TEST(Contact, SqueezedBetweenTwoSpheresNeverPenetrates) {
   EXPECT_GT(outcome.cut_steps, 0u);
   EXPECT_GT(outcome.sphere_clearance, 0);
   EXPECT_EQ(outcome.self_intersections, 0);
+  // What gave: 6 cm too much of the way of both together.
+  EXPECT_GT(outcome.pinched_vertices, 0u);
+  EXPECT_GT(outcome.last_lag, 0.025);
+  EXPECT_LT(outcome.lag, 0.05);
+
+  // Where they part again nothing is behind its script in the end.
+  for (Obstacle& ball : scene.obstacles) ball.motion.keys.push_back({0.4, {0, 0, 0}, {0, 0, 0}});
+  EXPECT_EQ(run(scene, 20).last_lag, 0);
 }
 
 TEST(Contact, MeshObstaclePushesTheCloth) {
