@@ -19,6 +19,7 @@
 #include "services/presentation/input/animation_input.hpp"
 #include "services/presentation/input/body_input.hpp"
 #include "services/presentation/input/garment_input.hpp"
+#include "services/simulation/material.hpp"
 
 namespace pleat::presentation {
 namespace {
@@ -223,8 +224,9 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
   }
   if (scene.has_material_file()) {
     const fs::path file = folder / scene.material_file();
-    const std::string material = read_text(file, name + ": material_file ");
-    scene.set_material_json(plain_json(material, file.string()));
+    const std::string material = plain_json(read_text(file, name + ": material_file "), file.string());
+    simulation::parse_material(material, file.string());  // here the file still has its name
+    scene.set_material_json(material);
   } else if (scene.has_isotropic()) {
     check.positive(scene.isotropic().density(), "isotropic.density");
     check.positive(scene.isotropic().youngs_modulus(), "isotropic.youngs_modulus");

@@ -20,12 +20,16 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::json;
 
+constexpr const char* kMaterial =
+    R"({"density": 0.2, "stretching": [[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1]],)"
+    R"( "bending": [[1,1,1,1,1],[1,1,1,1,1],[1,1,1,1,1]]})";
+
 class SceneFile : public testing::Test {
  protected:
   void SetUp() override {
     std::ofstream(folder_ / "cloth.obj") << "v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n"
                                             "f 1/1 2/2 3/3\nf 2/2 4/4 3/3\n";
-    std::ofstream(folder_ / "material.json") << R"({"density": 0.2})";
+    std::ofstream(folder_ / "material.json") << kMaterial;
     std::ofstream(folder_ / "ball.obj") << "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
     scene_ = {{"name", "fall"}, {"garment_file", "cloth.obj"}, {"material_file", "material.json"}, {"frames", 3}};
   }
@@ -224,7 +228,7 @@ TEST_F(SceneFile, InlinesGarmentMaterialAndObstacleMesh) {
   EXPECT_EQ(scene.garment_mesh().rest_positions_size(), 12);
   EXPECT_EQ(scene.garment_mesh().uv_faces_size(), 6);
   EXPECT_EQ(scene.garment_mesh().hash().size(), 16u);
-  EXPECT_EQ(scene.material_json(), R"({"density": 0.2})");
+  EXPECT_EQ(scene.material_json(), kMaterial);
   EXPECT_EQ(scene.obstacles(0).mesh().faces_size(), 12);
   EXPECT_EQ(scene.frames(), 3u);
 }
@@ -340,13 +344,16 @@ TEST_F(SceneFile, RefusesAGarmentWithoutMaterialCoordinates) {
   }
 }
 
-TEST_F(SceneFile, RefusesAMaterialThatIsNotJson) {
-  std::ofstream(folder_ / "material.json") << "density = 1";
-  try {
-    parse(scene_);
-    ADD_FAILURE() << "accepted";
-  } catch (const Error& error) {
-    EXPECT_THAT(error.what(), testing::HasSubstr("material.json"));
+TEST_F(SceneFile, RefusesAMaterialByTheNameOfItsFile) {
+  for (const char* text :
+       {"density = 1", R"({"density": 0.2})", R"({"density": 0.2, "stretching": [[1]], "bending": []})"}) {
+    std::ofstream(folder_ / "material.json") << text;
+    try {
+      parse(scene_);
+      ADD_FAILURE() << "accepted " << text;
+    } catch (const Error& error) {
+      EXPECT_THAT(error.what(), testing::HasSubstr("material.json"));
+    }
   }
 }
 
