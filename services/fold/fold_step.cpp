@@ -39,6 +39,7 @@ constexpr std::size_t kMostTangles = 20'000;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
 constexpr double kObstacleReach = 0.02;  // m, within a frame, beside the coarse cloth's motion
+constexpr double kObstacleDepth = 0.06;  // m: who is deeper inside a mesh is left to refinement
 constexpr float kLayerReach = 0.02f;     // m
 
 double milliseconds(Clock::time_point from) {
@@ -240,7 +241,7 @@ struct FoldStep::Work {
       if (std::none_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); })) {
         continue;
       }
-      const auto contact = obstacles.contact(point, kObstacleReach);
+      const auto contact = obstacles.contact(point, kObstacleReach, kObstacleDepth);
       if (!contact || contact->distance >= kObstacleReach) continue;
       const Float4 normal = to_float4(contact->normal);
       planes.push_back({i, normal, dot(normal, end) + static_cast<float>(options.clearance_m - contact->distance)});
@@ -355,7 +356,7 @@ struct FoldStep::Work {
       const Float4 at = x[i];
       const Eigen::Vector3d point =
           origin + Eigen::Vector3d(static_cast<double>(at[0]), static_cast<double>(at[1]), static_cast<double>(at[2]));
-      const auto contact = obstacles.contact(point, options.clearance_m);
+      const auto contact = obstacles.contact(point, options.clearance_m, kObstacleReach);
       if (!contact || contact->distance >= options.clearance_m) continue;
       x[i] += to_float4((options.clearance_m - contact->distance) * contact->normal);
     }

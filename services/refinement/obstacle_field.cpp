@@ -354,7 +354,7 @@ void ObstacleField::append_bounds(double margin, std::vector<Box>& boxes) const 
   }
 }
 
-std::optional<ObstacleContact> ObstacleField::contact(const Vec3& p, double reach) const {
+std::optional<ObstacleContact> ObstacleField::contact(const Vec3& p, double reach, double depth) const {
   std::optional<ObstacleContact> deepest;
   const auto consider = [&](const ObstacleContact& found) {
     if (found.distance <= reach && (!deepest || found.distance < deepest->distance)) deepest = found;
@@ -363,7 +363,8 @@ std::optional<ObstacleContact> ObstacleField::contact(const Vec3& p, double reac
     if (!part.present) continue;
     if (part.mesh == nullptr) {
       for (const Capsule& capsule : part.capsules) consider(capsule_contact(capsule, p));
-    } else if (const auto found = part.mesh->contact(p, reach)) {
+    } else if (const auto found = std::isinf(depth) ? part.mesh->contact(p, reach)
+                                                    : part.mesh->contact_near(p, std::max(reach, depth))) {
       consider(*found);
     }
   }

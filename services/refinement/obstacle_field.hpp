@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -103,8 +104,10 @@ class ObstacleField {
   /// clean.
   void append_bounds(double margin, std::vector<Box>& boxes) const;
 
-  /// The deepest contact of p among the obstacles that p is inside of or nearer to than `reach`.
-  std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach) const;
+  /// The deepest contact of p among the obstacles that p is inside of or nearer to than `reach`. Inside of meshes, no
+  /// deeper than `depth`: the less that is, the cheaper.
+  std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach,
+                                         double depth = std::numeric_limits<double>::infinity()) const;
 
   /// Whether a face reaches into an obstacle (see find_penetrations).
   bool penetrates(const Positions& positions, const Faces& faces, std::uint32_t face) const;

@@ -92,6 +92,33 @@ TEST(ObstacleField, FacesInsideAcrossAndAroundAMesh) {
   EXPECT_EQ(count_penetrations(x, faces, shapes, frames), 0u);
 }
 
+// With a depth, what is deeper inside a mesh is not found, and everything else is as without.
+TEST(ObstacleField, ContactsOfADepth) {
+  const test::ClosedMesh torus = test::torus(0.5f, 0.2f);
+  const std::vector<ObstacleShape> shapes{{"torus", torus.faces}};
+  ObstacleField field(shapes);
+  field.update(std::vector{mesh_frame("torus", torus.positions)});
+  std::mt19937 random(3);
+  std::uniform_real_distribution<double> uniform(-0.8, 0.8);
+  int deep = 0, found = 0;
+  for (int i = 0; i < 2000; ++i) {
+    const Eigen::Vector3d p(uniform(random), 0.3 * uniform(random), uniform(random));
+    const auto all = field.contact(p, 0.05), near = field.contact(p, 0.05, 0.1);
+    if (all && all->distance < -0.1) {
+      EXPECT_FALSE(near);
+      ++deep;
+      continue;
+    }
+    ASSERT_EQ(near.has_value(), all.has_value());
+    if (!near) continue;
+    EXPECT_EQ(near->distance, all->distance);
+    EXPECT_EQ(near->normal, all->normal);
+    ++found;
+  }
+  EXPECT_GT(deep, 20);
+  EXPECT_GT(found, 100);
+}
+
 TEST(Capsules, FacesAgreeWithAScan) {
   std::mt19937 random(6);
   std::uniform_real_distribution<double> uniform(-1, 1);
