@@ -18,7 +18,7 @@ constexpr const char* kGarment =
     "v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 2/2 4/4 3/3\n";
 
 std::string scene(const std::string& more) {
-  return R"({"name": "fall", "garment_file": "cloth.obj", "material_file": "material.json", "frames": 3)" +
+  return R"({"name": "fall", "garment_file": "cloth.obj", "isotropic": {"density": 375, "youngs_modulus": 7.5e5, "poissons_ratio": 0.3, "thickness": 4e-4}, "frames": 3)" +
          (more.empty() ? std::string() : ", " + more) + "}";
 }
 
@@ -38,8 +38,7 @@ TEST_P(BadInput, IsNamedInOneLine) {
   const pleat::test::TemporaryFolder temporary;
   const fs::path& folder = temporary.path();
   const Case& test = GetParam();
-  std::map<std::string, std::string> files = {
-      {"cloth.obj", kGarment}, {"material.json", "{}"}, {"models/draping.pt", "x"}, {"file", "x"}};
+  std::map<std::string, std::string> files = {{"cloth.obj", kGarment}, {"models/draping.pt", "x"}, {"file", "x"}};
   for (const auto& [file, text] : test.files) files[file] = text;
   for (const auto& [file, text] : files) {
     fs::create_directories((folder / file).parent_path());
@@ -110,7 +109,8 @@ const Case kCases[] = {
      run_scene(),
      2,
      "none.obj",
-     {{"scene.json", R"({"name": "x", "garment_file": "none.obj", "material_file": "material.json", "frames": 1})"}}},
+     {{"scene.json",
+       R"({"name": "x", "garment_file": "none.obj", "isotropic": {"density": 375, "youngs_modulus": 7.5e5, "poissons_ratio": 0.3, "thickness": 4e-4}, "frames": 1})"}}},
     {"run_missing_material",
      run_scene(),
      2,

@@ -199,9 +199,8 @@ TEST_F(LauncherTest, ForeignFilesInAnOutputFolderSurvive) {
   const std::string garment =
       "v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 2/2 4/4 3/3\n";
   std::ofstream(folder_ / "cloth.obj") << garment;
-  std::ofstream(folder_ / "material.json") << "{}";
   std::ofstream(folder_ / "scene.json")
-      << R"({"name": "fall", "garment_file": "cloth.obj", "material_file": "material.json", "frames": 2})";
+      << R"({"name": "fall", "garment_file": "cloth.obj", "isotropic": {"density": 375, "youngs_modulus": 7.5e5, "poissons_ratio": 0.3, "thickness": 4e-4}, "frames": 2})";
   std::ofstream(folder_ / "models" / "draping.pt") << "x";
   std::vector<fs::path> kept;
   for (const char* name : {"services/precious.txt", "services/jobs/a/job.json", "logs/notes.txt", "report.json.tmp",
