@@ -41,7 +41,7 @@ bool is_local_address(const std::string& address) {
 }
 
 void keep_grpc() {
-  // Debian's Abseil looks for deadlocks among its mutexes, whenever gRPC locks one: a seventh of a frame's way.
+  // Debian's Abseil looks for deadlocks among its mutexes, whenever gRPC locks one.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   // A channel that stays for ever, with one call made on it.
   struct Keeper {
