@@ -76,6 +76,23 @@ void ServiceProcesses::kill(const std::string& service) {
   running_.at(service).wait_until(std::chrono::steady_clock::now() + 10s);
 }
 
+bool ServiceProcesses::kill_within_job(const std::string& service, const std::string& job) {
+  kill(service);
+  bool unfinished = false;
+  if (service == "coordinator") {
+    unfinished = std::filesystem::exists(folder_.path() / "coordinator-data" / "jobs" / job / "result.h5.partial");
+  } else {
+    grpc::ClientContext context;
+    v1::GetJobRequest request;
+    request.set_id(job);
+    v1::Job state;
+    unfinished = client()->GetJob(&context, request, &state).ok() && state.state() == v1::Job::STATE_RUNNING;
+  }
+  start(service);
+  wait_until_healthy(service);
+  return unfinished;
+}
+
 std::string ServiceProcesses::terminate(const std::string& service) {
   running_.at(service).send(SIGTERM);
   running_.at(service).wait_until(std::chrono::steady_clock::now() + 20s);

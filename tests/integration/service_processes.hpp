@@ -24,6 +24,9 @@ class ServiceProcesses {
   void wait_until_healthy(const std::string& service);
   /// SIGKILL; returns when the process is gone.
   void kill(const std::string& service);
+  /// Kills the service and starts it again; false if the job had no need of it any more (its process goes on while
+  /// its state is asked for). For the coordinator, its own result file tells.
+  bool kill_within_job(const std::string& service, const std::string& job);
   /// SIGTERM; returns how it ended.
   std::string terminate(const std::string& service);
 

@@ -159,6 +159,7 @@ class FakeSimulation final : public FakeService, public v1::Simulation::Service 
     rpc::PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(context, stream, open.window(), index);
     for (; index < open.scene().frames(); ++index) {
       std::this_thread::sleep_for(faults.delay());
+      while (faults.holds(index) && !writer.stopped()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
       response.Clear();
       v1::SimulatedFrame& frame = *response.mutable_frame();
       switch (faults.next(index)) {

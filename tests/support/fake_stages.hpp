@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -39,11 +40,15 @@ class Faults {
   void at(std::uint64_t index, Kind kind, int times = 1);
   /// Refuses this many `open` messages with the status.
   void refuse(grpc::Status status, int times);
+  /// Frames from this one on wait for release(), or until the client gives up: a job cannot end meanwhile.
+  void hold(std::uint64_t index) { held_from_ = index; }
+  void release() { held_from_ = std::numeric_limits<std::uint64_t>::max(); }
   /// Every answer takes this long.
   void delay(std::chrono::milliseconds time) { delay_ms_ = time.count(); }
 
   Kind next(std::uint64_t index);
   grpc::Status next_open();
+  bool holds(std::uint64_t index) const { return index >= held_from_; }
   std::chrono::milliseconds delay() const { return std::chrono::milliseconds(delay_ms_.load()); }
 
  private:
@@ -52,6 +57,7 @@ class Faults {
   grpc::Status refusal_;
   int refusals_ = 0;
   std::atomic<std::int64_t> delay_ms_{0};
+  std::atomic<std::uint64_t> held_from_{std::numeric_limits<std::uint64_t>::max()};
 };
 
 /// What the super-resolution services say of their bundle. Thread-safe.

@@ -368,14 +368,14 @@ TEST_F(JobsTest, TwoJobsAtOnce) {
 
 TEST_F(JobsTest, ARestartedCoordinatorGoesOn) {
   start();
-  fakes_.simulation().faults.delay(3ms);
+  fakes_.simulation().faults.hold(40);
   create(60, "a", true);
   create(2, "ended");
   finished("ended");
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 20; }));
   stop();
   const int before = fakes_.simulation().frames;
-  fakes_.simulation().faults.delay(0ms);
+  fakes_.simulation().faults.release();
   start();
   const v1::Job job = finished("a");
   ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
@@ -389,12 +389,12 @@ TEST_F(JobsTest, AFoldedJobNeedsNoBundleAndARestartedCoordinatorGoesOn) {
   fakes_.conversion().stop();
   fakes_.superres().stop();
   start();
-  fakes_.simulation().faults.delay(3ms);
+  fakes_.simulation().faults.hold(40);
   create(60, "a", false, v1::DETAIL_FOLD);
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 23; }));
   stop();
   const int before = fakes_.fold().frames;
-  fakes_.simulation().faults.delay(0ms);
+  fakes_.simulation().faults.release();
   start();
   const v1::Job job = finished("a");
   ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
@@ -416,11 +416,12 @@ TEST_F(JobsTest, AFoldedJobNeedsNoBundleAndARestartedCoordinatorGoesOn) {
 
 TEST_F(JobsTest, AFoldedJobWithoutItsCheckpointIsMadeAgainAndKeepsItsFrames) {
   start();
-  fakes_.simulation().faults.delay(3ms);
+  fakes_.simulation().faults.hold(20);
   create(30, "a", false, v1::DETAIL_BOTH);
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 12; }));
   stop();
   std::filesystem::remove(std::filesystem::path(options_.data) / "jobs/a/checkpoint.bin");
+  fakes_.simulation().faults.release();
   start();
   const v1::Job job = finished("a");
   ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
@@ -446,7 +447,7 @@ TEST_F(JobsTest, ARestartedCoordinatorDoesNotMixBundles) {
 
 TEST_F(JobsTest, ADamagedNoteOfTheBundleStartsTheJobAnew) {
   start();
-  fakes_.simulation().faults.delay(3ms);
+  fakes_.simulation().faults.hold(40);
   create(60, "a");
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 12; }));
   stop();
@@ -454,7 +455,7 @@ TEST_F(JobsTest, ADamagedNoteOfTheBundleStartsTheJobAnew) {
   ASSERT_TRUE(std::filesystem::exists(note));
   std::ofstream(note, std::ios::trunc) << "nothing";
   const int before = fakes_.simulation().frames;
-  fakes_.simulation().faults.delay(0ms);
+  fakes_.simulation().faults.release();
   start();
   const v1::Job job = finished("a");
   ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
@@ -497,14 +498,14 @@ class FullDisk {
 
 TEST_F(JobsTest, AFullDiskFailsTheJobNamesTheFileAndKeepsTheFrames) {
   start();
-  fakes_.simulation().faults.delay(2ms);
+  fakes_.simulation().faults.hold(40);
   create(400, "a");
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 3; }));
   const auto partial = std::filesystem::path(options_.data) / "jobs/a/result.h5.partial";
   v1::Job job;
   {
     const FullDisk disk(std::filesystem::file_size(partial) / 2);
-    fakes_.simulation().faults.delay(0ms);
+    fakes_.simulation().faults.release();
     job = finished("a");
   }
   EXPECT_EQ(job.state(), v1::Job::STATE_FAILED);
@@ -517,12 +518,12 @@ TEST_F(JobsTest, AFullDiskFailsTheJobNamesTheFileAndKeepsTheFrames) {
 TEST_F(JobsTest, ADamagedPartialFileStartsTheJobAnew) {
   options_.jobs.concurrency = 1;
   start();
-  fakes_.simulation().faults.delay(3ms);
+  fakes_.simulation().faults.hold(20);
   create(30, "a");
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 12; }));
   stop();
   std::ofstream(std::filesystem::path(options_.data) / "jobs/a/result.h5.partial", std::ios::trunc) << "nothing";
-  fakes_.simulation().faults.delay(0ms);
+  fakes_.simulation().faults.release();
   start();
   const v1::Job job = finished("a");
   ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
