@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The rules of the rooms that no compiler checks, over the files that git knows. Prints what breaks them; exit code 1.
 
-Includes against cmake/rooms.txt; mains of at most 60 lines; a contract at the head of every header; documents that name
+Includes against cmake/rooms.txt; namespaces after their room; mains of at most 60 lines; a contract at the head of every header; documents that name
 files which are not there; words that a finished program does not have.
 """
 
@@ -19,6 +19,17 @@ MAIN_LINES = 60
 LIBRARIES = {"Eigen", "OpenMesh", "cholmod", "hdf5", "nlohmann", "CLI", "grpc", "spdlog", "prometheus", "torch"}
 # Folders that documents name and that only a build, a run or a user's machine makes.
 MADE = ("build/", "out/", "mine", "garment", "frames/", "/")
+# Rooms whose headers are in another namespace than pleat::NAME of their folder: what everybody has is in pleat itself.
+NAMESPACES = {
+    "common/base": ["pleat"],
+    "common/mesh": ["pleat"],
+    "common/features": ["pleat"],
+    "common/frame": ["pleat"],
+    "common/scene": ["pleat"],
+    "common/store": ["pleat", "pleat::store", "pleat::hdf5"],
+    "common/client/cpp": ["pleat::client"],
+    "common/client/adapter": ["pleat::client"],
+}
 UNFINISHED = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
 
 
@@ -77,6 +88,25 @@ def check_includes(table):
             target = found and target_of(found[1], table)
             if target and target not in allowed:
                 yield f"{path}:{number}: {room} may not see {target}"
+
+
+def namespaces_of(room):
+    """services/presentation/check: pleat::check of its own folder, or pleat::presentation of the one above."""
+    return NAMESPACES.get(room) or ["pleat::" + part for part in room.split("/")[1:]]
+
+
+def check_namespaces(table):
+    """A header declares in its room's namespace, or in one inside it; a block of forward declarations is free."""
+    forward = re.compile(r"(?:(?:class|struct) \w+;\s*)+}")
+    for path in tracked("common/*.hpp", "services/*.hpp"):
+        wanted = namespaces_of(room_of(path, table) or os.path.dirname(path))
+        text = (ROOT / path).read_text()
+        for block in re.finditer(r"^namespace ([\w:]+) {\s*", text, re.MULTILINE):
+            if "::" not in block[1] and block[1] != "pleat" or forward.match(text, block.end()):
+                continue
+            if block[1] not in wanted and not block[1].startswith(tuple(name + "::" for name in wanted if name != "pleat")):
+                number = text.count("\n", 0, block.start()) + 1
+                yield f"{path}:{number}: namespace {block[1]}, not {' or '.join(wanted)} of its room"
 
 
 def check_mains():
@@ -154,7 +184,8 @@ def check_unfinished():
 def main():
     table = read_table()
     failed = False
-    for title, rows in (("includes against " + TABLE, check_includes(table)), ("mains", check_mains()),
+    for title, rows in (("includes against " + TABLE, check_includes(table)), ("namespaces", check_namespaces(table)),
+                        ("mains", check_mains()),
                         ("headers without a contract", check_contracts()), ("names of files", check_documents()),
                         ("unfinished work", check_unfinished())):
         rows = list(rows)

@@ -7,7 +7,7 @@
 #include "services/conversion/geometry_image/detail_image.hpp"
 #include "services/conversion/vertex_features/vertex_representation.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 std::unique_ptr<const Representation> make_representation(const Topology& coarse, const RepresentationSpec& spec,
                                                           const Topology* fine) {
@@ -36,4 +36,4 @@ std::unique_ptr<const Representation> make_representation(const Topology& coarse
   throw_internal("representation: an unknown layout");
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

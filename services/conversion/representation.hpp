@@ -15,7 +15,7 @@
 #include "services/conversion/vertex_features/vertex_spec.hpp"
 #include "services/conversion/vertex_reads.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// Frames that a network may read at once.
 inline constexpr int kMaxWindow = 16;
@@ -98,4 +98,4 @@ class Representation {
 std::unique_ptr<const Representation> make_representation(const Topology& coarse, const RepresentationSpec& spec,
                                                           const Topology* fine = nullptr);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

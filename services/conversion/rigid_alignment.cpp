@@ -5,7 +5,7 @@
 
 #include "common/base/error.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 // Below this ratio of singular values a cloud counts as a line: float positions carry about 1e-7 of their extent.
@@ -65,4 +65,4 @@ RigidTransform inverse(const RigidTransform& transform) {
   return result;
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -3,7 +3,7 @@
 
 #include "common/frame/frame.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// The rotation (determinant +1, never a reflection) and translation that minimise sum |R x_i + t - x0_i|^2.
 /// Where the clouds do not determine the rotation, the one nearest to the identity is chosen: collinear clouds get the
@@ -14,4 +14,4 @@ RigidTransform kabsch(const Positions& positions, const Positions& rest);
 /// The inverse map: x -> R^T (x - t).
 RigidTransform inverse(const RigidTransform& transform);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

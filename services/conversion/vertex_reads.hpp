@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// Vertex v gets the sum over offsets[v] <= i < offsets[v + 1] of weights[i] times place places[i] of the answer (the
 /// index within a channel, row-major). A vertex that no face uses reads nothing.
@@ -14,4 +14,4 @@ struct VertexReads {
   std::vector<float> weights;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -120,8 +120,8 @@ class Verifier {
     ++report_.frames_judged;
     const std::vector<ObstacleFrame> obstacles = reader_.obstacles(info.name, k, k + 1).front();
     const auto count = [&](const char* which, const Positions& positions, const Faces& faces) {
-      const std::size_t crossings = count_self_intersections(positions, faces);
-      const std::size_t inside = count_penetrations(positions, faces, info.obstacles, obstacles);
+      const std::size_t crossings = refinement::count_self_intersections(positions, faces);
+      const std::size_t inside = refinement::count_penetrations(positions, faces, info.obstacles, obstacles);
       report_.self_intersections += crossings;
       report_.penetrations += inside;
       if (crossings > 0)

@@ -43,7 +43,7 @@ Figure time_of_frames(const BenchOptions& options, Mode mode, std::size_t frames
 /// Round trips fine mesh -> image -> mesh over frames.
 class RoundTrips {
  public:
-  void add(const ImageMap& map, const FramePair& pair) {
+  void add(const conversion::ImageMap& map, const FramePair& pair) {
     const RigidTransform alignment = map.align(pair.coarse.positions);
     map.fine_image(pair.fine, alignment, image_);
     map.to_mesh(image_, alignment, back_);
@@ -70,8 +70,8 @@ struct Frames {
   std::size_t count = 0;
 };
 
-RoundTrips round_trips(const Frames& frames, std::size_t count, const ImageSpec& spec) {
-  const ImageMap map(frames.coarse, frames.fine, spec);
+RoundTrips round_trips(const Frames& frames, std::size_t count, const conversion::ImageSpec& spec) {
+  const conversion::ImageMap map(frames.coarse, frames.fine, spec);
   RoundTrips trips;
   count = std::min(count, frames.count);
   for (std::size_t i = 0; i < count; ++i) trips.add(map, frames.at(i * frames.count / count));
@@ -80,10 +80,10 @@ RoundTrips round_trips(const Frames& frames, std::size_t count, const ImageSpec&
 
 /// The errors against texels per vertex, for both methods, and of the published size. `prefix` goes before the names.
 void add_round_trip_table(const Frames& frames, const std::string& prefix, Figures& figures) {
-  const auto add = [&](const std::string& size, const ImageSpec& base, std::size_t count) {
-    for (const auto& [name, method] :
-         {std::pair{"fitted", FineImageMethod::kFitted}, std::pair{"sampled", FineImageMethod::kSampled}}) {
-      ImageSpec spec = base;
+  const auto add = [&](const std::string& size, const conversion::ImageSpec& base, std::size_t count) {
+    for (const auto& [name, method] : {std::pair{"fitted", conversion::FineImageMethod::kFitted},
+                                       std::pair{"sampled", conversion::FineImageMethod::kSampled}}) {
+      conversion::ImageSpec spec = base;
       spec.method = method;
       const RoundTrips trips = round_trips(frames, count, spec);
       figures.emplace_back(prefix + "round_trip_rms/" + name + "/" + size, trips.rms());
@@ -91,11 +91,11 @@ void add_round_trip_table(const Frames& frames, const std::string& prefix, Figur
     }
   };
   for (const char* texels : {"1.4", "2", "3", "6"}) {
-    ImageSpec spec;
+    conversion::ImageSpec spec;
     spec.texels_per_fine_vertex = std::stod(texels);
     add(texels, spec, frames.count);
   }
-  ImageSpec published;
+  conversion::ImageSpec published;
   published.coarse_width = 192;
   published.coarse_height = 128;
   add("768x512", published, std::max<std::size_t>(1, frames.count / 10));
@@ -126,15 +126,15 @@ namespace {
 /// the mesh.
 void add_detail_times(const Topology& coarse, Figures& figures) {
   struct Size {
-    std::unique_ptr<const Representation> representation;
+    std::unique_ptr<const conversion::Representation> representation;
     Tensor input, answer;
     std::vector<double> build, encode, decode;
   };
   std::vector<Size> sizes;
-  RepresentationSpec spec;
+  conversion::RepresentationSpec spec;
   for (const int rounds : {2, 3, 4}) {
-    GeometryImageSpec image;
-    image.layout = ImageLayout::kDetail;
+    conversion::GeometryImageSpec image;
+    image.layout = conversion::ImageLayout::kDetail;
     image.image.scale = 1 << rounds;
     if (!sizes.empty()) {
       const auto shape = sizes.front().representation->input_shape();
@@ -143,7 +143,7 @@ void add_detail_times(const Topology& coarse, Figures& figures) {
     spec.kind = image;
     spec.subdivision.rounds = rounds;
     Size& size = sizes.emplace_back();
-    size.build.push_back(milliseconds([&] { size.representation = make_representation(coarse, spec); }));
+    size.build.push_back(milliseconds([&] { size.representation = conversion::make_representation(coarse, spec); }));
     size.answer.shape = size.representation->answer_shape();
     size.answer.values.assign(3 * size.representation->answer_mask().size(), 1e-3F);
   }
@@ -178,8 +178,8 @@ Figures bench_conversion(const BenchOptions& options) {
                                 : SubdivisionSpec{scene.subdivision_rounds, scene.subdivision_rule});
   std::vector<double> build, image_ms, mesh_ms;
   for (std::size_t r = 0; r < kMapRuns; ++r)
-    build.push_back(milliseconds([&] { const ImageMap map(coarse, subdivision.fine); }));
-  const ImageMap map(coarse, subdivision.fine);
+    build.push_back(milliseconds([&] { const conversion::ImageMap map(coarse, subdivision.fine); }));
+  const conversion::ImageMap map(coarse, subdivision.fine);
   const FramePair pair = wrinkled_pair(coarse, subdivision, 0.3);
   const RigidTransform alignment = map.align(pair.coarse.positions);
   Tensor coarse_image;
@@ -218,11 +218,11 @@ Figures bench_conversion(const BenchOptions& options) {
 
 Figures bench_refinement(const BenchOptions& options) {
   const RefinementSetting* setting = nullptr;
-  std::optional<Refiner> refiner;
+  std::optional<refinement::Refiner> refiner;
   std::optional<DisplacementImageError> image_error;
   std::vector<double> ms, moves, largest;
   double before_pairs = 0, before_faces = 0, pairs = 0, faces = 0, unclean_inputs = 0, error_before = 0, error = 0;
-  RefinedMesh refined;
+  refinement::RefinedMesh refined;
   const auto begin = [&](const RefinementSetting& s) {
     if (setting == nullptr && s.range) image_error.emplace(s.coarse, s.subdivision.fine, *s.range);
     setting = &s;
@@ -236,8 +236,9 @@ Figures bench_refinement(const BenchOptions& options) {
     before_faces += static_cast<double>(refined.report.penetrations_before);
     unclean_inputs += refined.report.input_intersects ? 1 : 0;
     const Faces& fine_faces = setting->subdivision.fine.faces;
-    pairs += static_cast<double>(count_self_intersections(refined.positions, fine_faces));
-    faces += static_cast<double>(count_penetrations(refined.positions, fine_faces, setting->shapes, input.obstacles));
+    pairs += static_cast<double>(refinement::count_self_intersections(refined.positions, fine_faces));
+    faces += static_cast<double>(
+        refinement::count_penetrations(refined.positions, fine_faces, setting->shapes, input.obstacles));
     if (!image_error || !input.reference) return;
     error_before += image_error->mean_square_error(input.coarse, *input.reference, input.fine);
     error += image_error->mean_square_error(input.coarse, *input.reference, refined.positions);

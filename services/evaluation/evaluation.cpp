@@ -105,8 +105,9 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
         const Positions reference = std::move(dataset.fine(info.name, k, k + 1).at(0));
         const auto obstacles = input.obstacles(k);
         FrameCounts counts;
-        counts.penetrations = count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles);
-        counts.self_intersections = count_self_intersections(frame.positions, topology.fine.faces);
+        counts.penetrations =
+            refinement::count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles);
+        counts.self_intersections = refinement::count_self_intersections(frame.positions, topology.fine.faces);
         counts.penetrations_before = frame.refined ? frame.penetrations_before : counts.penetrations;
         counts.self_intersections_before = frame.refined ? frame.self_intersections_before : counts.self_intersections;
         metrics.add(input.coarse(k), reference, frame.positions, counts);

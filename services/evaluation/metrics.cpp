@@ -221,12 +221,12 @@ DisplacementImageError::DisplacementImageError(const Topology& coarse, const Top
       throw_invalid_argument("the range of displacement channel " + std::to_string(c) + " is empty");
     }
   }
-  ImageSpec spec;
+  conversion::ImageSpec spec;
   spec.coarse_width = coarse_width;
   spec.coarse_height = coarse_height;
   // Sampling is the published definition, and adds no regularisation of ours to what is measured.
-  spec.method = FineImageMethod::kSampled;
-  map_ = std::make_unique<ImageMap>(coarse, fine, spec);
+  spec.method = conversion::FineImageMethod::kSampled;
+  map_ = std::make_unique<conversion::ImageMap>(coarse, fine, spec);
 }
 
 DisplacementImageError::~DisplacementImageError() = default;

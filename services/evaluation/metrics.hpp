@@ -13,9 +13,9 @@
 #include "common/mesh/mesh.hpp"
 #include "common/mesh/wrinkles.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 class ImageMap;
-}  // namespace pleat
+}  // namespace pleat::conversion
 
 namespace pleat::evaluation {
 
@@ -127,7 +127,7 @@ class DisplacementImageError {
   double mean_square_error(const Positions& coarse, const Positions& reference, const Positions& candidate);
 
  private:
-  std::unique_ptr<ImageMap> map_;
+  std::unique_ptr<conversion::ImageMap> map_;
   ChannelRanges range_;
   Tensor reference_, candidate_;
 };

@@ -80,9 +80,9 @@ struct FoldStep::Work {
   std::uint32_t count, coarse_count;
   int steps;
   float step_s, frame_s, ahead;
-  ObstacleField obstacles;
+  refinement::ObstacleField obstacles;
   LayerFinder layers;
-  SelfIntersectionFinder tangles;
+  refinement::SelfIntersectionFinder tangles;
   std::vector<float> masses;  // kg per fine vertex
   Tracking tracking;
 
@@ -96,7 +96,7 @@ struct FoldStep::Work {
   // One more than there are vertices, as scratch place of packs.
   std::vector<Float4> x, v, before, expected, from, way, given, normals, moved;
   std::span<const LayerContact> layer_contacts;
-  std::vector<FacePair> pairs;
+  std::vector<refinement::FacePair> pairs;
   std::vector<float> tangled, wider;
   std::vector<ObstaclePlane> planes;
   std::vector<Box> near_obstacles;
@@ -200,7 +200,7 @@ struct FoldStep::Work {
     std::fill(tangled.begin(), tangled.end(), all ? 0.0f : 1.0f);
     if (pairs.empty() || !all) return;
     const Faces& corners = subdivision.fine.faces;
-    for (const FacePair& pair : pairs) {
+    for (const refinement::FacePair& pair : pairs) {
       for (const std::uint32_t face : {pair[0], pair[1]}) {
         for (int k = 0; k < 3; ++k) tangled[corners(face, k)] = 1;
       }

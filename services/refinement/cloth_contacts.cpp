@@ -5,7 +5,7 @@
 
 #include "services/refinement/for_ranges.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 using Vec3 = Eigen::Vector3d;
@@ -240,4 +240,4 @@ void ClothContacts::find_penetrations_again(const Positions& positions, const Ob
   faces.erase(std::unique(faces.begin(), faces.end()), faces.end());
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

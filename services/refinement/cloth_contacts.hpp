@@ -10,7 +10,7 @@
 #include "services/refinement/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 struct VertexContact {
   std::uint32_t vertex;
@@ -70,4 +70,4 @@ class ClothContacts {
   std::vector<std::uint8_t> is_moved_;  // per patch
 };
 
-}  // namespace pleat
+}  // namespace pleat::refinement

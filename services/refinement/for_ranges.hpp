@@ -5,7 +5,7 @@
 
 #include "common/base/parallel.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 /// body(begin, end) over disjoint ranges of [0, count), at most `grain` long; the ranges do not depend on the pool.
 /// Does not allocate.
@@ -18,4 +18,4 @@ void for_ranges(ThreadPool* pool, std::size_t count, std::size_t grain, const Bo
   pool->parallel_for(count, grain, std::cref(body));
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 // Rings over which the weights rise to 1.
@@ -160,4 +160,4 @@ std::size_t ImpactZones::count() {
   return zones;
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

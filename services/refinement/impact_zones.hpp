@@ -9,7 +9,7 @@
 #include "common/mesh/mesh.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 /// Vertices around each vertex, in compressed rows.
 struct Neighbourhood {
@@ -66,4 +66,4 @@ class ImpactZones {
   std::vector<float> depths_;  // of corners_
 };
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -4,7 +4,7 @@
 #include "services/refinement/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 void check(const Positions& positions, const Faces& faces) {
@@ -45,4 +45,4 @@ std::size_t count_penetrations(const Positions& positions, const Faces& faces, s
   return find_penetrations(positions, faces, shapes, frames).size();
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -11,7 +11,7 @@
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 /// Two faces that intersect, first < second.
 using FacePair = std::array<std::uint32_t, 2>;
@@ -42,4 +42,4 @@ std::vector<std::uint32_t> find_penetrations(const Positions& positions, const F
 std::size_t count_penetrations(const Positions& positions, const Faces& faces, std::span<const ObstacleShape> shapes,
                                std::span<const ObstacleFrame> frames);
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -10,7 +10,7 @@
 #include "common/mesh/closest_points.hpp"
 #include "common/mesh/triangle_intersection.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 using Vec3 = Eigen::Vector3d;
@@ -428,4 +428,4 @@ bool ObstacleField::push_face_out(Positions& positions, const Faces& faces, std:
   return moved;
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

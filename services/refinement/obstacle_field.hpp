@@ -13,7 +13,7 @@
 #include "common/mesh/bvh.hpp"
 #include "common/mesh/connectivity.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 /// The resolution below which a penetration is not one: about that of float positions at a few metres.
 inline constexpr double kPenetrationTolerance = 1e-6;
@@ -138,4 +138,4 @@ struct ObstacleField::Part {
   bool present = false;  ///< in this frame
 };
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 // Weight of standing still against bending: displacements fade over about four edges.
@@ -109,4 +109,4 @@ bool ObstaclePush::apply(Positions& positions, ObstacleField& field, SelfInterse
   return moved;
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

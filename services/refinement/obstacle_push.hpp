@@ -10,7 +10,7 @@
 #include "services/refinement/self_intersection_finder.hpp"
 #include "services/refinement/smoothing_solver.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 /// Minimises alpha |u|^2 + |L u|^2 - 2 f.u over displacements u, where L is the uniform Laplacian of the mesh and the
 /// loads f act on the vertices that must move: the differences of neighbours, and so the wrinkles, change as little as
@@ -42,4 +42,4 @@ class ObstaclePush {
   std::vector<std::uint32_t> penetrating_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::refinement

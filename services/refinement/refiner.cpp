@@ -12,7 +12,7 @@
 #include "services/refinement/obstacle_push.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 // Pairs are counted up to here.
@@ -229,4 +229,4 @@ void Refiner::refine(const Positions& coarse, const Positions& fine, std::span<c
   report.ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

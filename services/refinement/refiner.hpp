@@ -9,7 +9,7 @@
 #include "common/frame/frame.hpp"
 #include "common/mesh/subdivision.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 struct RefinementOptions {
   double clearance_m = 0.002;  ///< vertices keep this distance from obstacles; 0 to 0.1
@@ -62,4 +62,4 @@ class Refiner {
   std::unique_ptr<State> state_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -10,7 +10,7 @@
 #include "common/mesh/triangle_intersection.hpp"
 #include "services/refinement/for_ranges.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 // How far from zero, relative to the lengths, an orientation in float arithmetic is trusted: the rounding error is
@@ -348,4 +348,4 @@ bool SelfIntersectionFinder::find_again(const Positions& positions, std::span<co
   return complete && pairs.size() <= limit;
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -16,7 +16,7 @@
 #include "common/mesh/mesh.hpp"
 #include "services/refinement/judge.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 class SelfIntersectionFinder {
  public:
@@ -117,4 +117,4 @@ class SelfIntersectionFinder {
   std::vector<std::uint32_t> corners_;  // of moved patches
 };
 
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -5,7 +5,7 @@
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/sparse_cholesky.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 // L^T L + stand_still I.
@@ -191,4 +191,4 @@ void SmoothingSolver::spread(float smallest) {
   }
 }
 
-}  // namespace pleat
+}  // namespace pleat::refinement

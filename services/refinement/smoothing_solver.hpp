@@ -7,7 +7,7 @@
 
 #include "common/mesh/mesh.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 
 /// Solves (stand_still I + L^T L) u = f for displacements u of all vertices, where L is the uniform Laplacian of the
 /// mesh. The matrix is factorised once, in double; the factor is kept in float, its columns gathered to dense blocks,
@@ -57,4 +57,4 @@ class SmoothingSolver {
   std::vector<std::uint8_t> reached_;  // blocks on the way from a load to the root
 };
 
-}  // namespace pleat
+}  // namespace pleat::refinement

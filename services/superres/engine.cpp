@@ -96,7 +96,7 @@ struct Engine::State {
 
   /// Height and width of what the bundle reads, if it says so.
   std::optional<std::pair<std::int64_t, std::int64_t>> own_size() const {
-    const auto* kind = std::get_if<GeometryImageSpec>(&metadata.representation.kind);
+    const auto* kind = std::get_if<conversion::GeometryImageSpec>(&metadata.representation.kind);
     if (kind == nullptr || kind->image.coarse_width == 0) return std::nullopt;
     return std::pair<std::int64_t, std::int64_t>(kind->image.coarse_height, kind->image.coarse_width);
   }

@@ -32,9 +32,9 @@ void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& 
   const pleat::Subdivision subdivision = pleat::subdivide(simulation.coarse(), scene.subdivision_rounds);
   const auto shapes = simulation.obstacle_shapes();
   pleat::fold::FoldStep step(simulation.coarse(), subdivision, shapes, options);
-  pleat::RefinementOptions refinement;
+  pleat::refinement::RefinementOptions refinement;
   refinement.threads = threads;
-  pleat::Refiner refiner(simulation.coarse(), subdivision, shapes, refinement);
+  pleat::refinement::Refiner refiner(simulation.coarse(), subdivision, shapes, refinement);
   pleat::ResultOptions result;
   result.topology = {simulation.coarse(), subdivision.fine, subdivision.feature_vertices};
   result.frames = static_cast<std::uint64_t>(scene.frames);
@@ -51,7 +51,8 @@ void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& 
     const std::vector<std::uint32_t> held = held_at(scene, frame.coarse.time_s);
     const pleat::fold::FoldReport report =
         step.fold({frame.coarse.positions, frame.coarse.velocities, frame.obstacles, held}, state);
-    const pleat::RefinedMesh refined = refiner.refine(frame.coarse.positions, state.positions, frame.obstacles);
+    const pleat::refinement::RefinedMesh refined =
+        refiner.refine(frame.coarse.positions, state.positions, frame.obstacles);
     fold_ms.push_back(report.ms);
     contact_ms.push_back(report.contact_ms);
     layers.push_back(static_cast<double>(report.layer_contacts));

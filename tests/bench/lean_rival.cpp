@@ -40,7 +40,7 @@ struct Run {
   Positions last;
 
   void judge(const Positions& positions, const pleat::Faces& faces) {
-    const std::size_t found = pleat::count_self_intersections(positions, faces);
+    const std::size_t found = pleat::refinement::count_self_intersections(positions, faces);
     intersections += found;
     dirty_frames += found > 0 ? 1 : 0;
     last = positions;

@@ -18,10 +18,10 @@ using namespace pleat;  // a program of its own
 int run(const evaluation::BenchOptions& options, float noise) {
   std::mt19937 random(1);
   std::normal_distribution<float> normal(0, noise);
-  std::optional<Refiner> refiner;
+  std::optional<refinement::Refiner> refiner;
   const evaluation::RefinementSetting* setting = nullptr;
   std::size_t frames = 0, unclean = 0, dirty_inputs = 0, changed = 0;
-  RefinedMesh refined;
+  refinement::RefinedMesh refined;
   const auto begin = [&](const evaluation::RefinementSetting& s) {
     setting = &s;
     refiner.emplace(s.coarse, s.subdivision, s.shapes);

@@ -18,7 +18,7 @@
 namespace {
 
 using pleat::Positions;
-using pleat::RotationCode;
+using pleat::conversion::RotationCode;
 using Clock = std::chrono::steady_clock;
 
 struct Timer {
@@ -41,7 +41,7 @@ struct Timer {
 };
 
 // T = R S, one vertex at a time.
-void plain_polar(const pleat::GradientField& field, std::vector<double>& values) {
+void plain_polar(const pleat::conversion::GradientField& field, std::vector<double>& values) {
   values.resize(9 * field.columns.size());
   for (std::size_t v = 0; v < field.columns.size(); ++v) {
     const Eigen::Matrix3d t = field.at(v).cast<double>();
@@ -53,7 +53,7 @@ void plain_polar(const pleat::GradientField& field, std::vector<double>& values)
   }
 }
 
-pleat::SparseCholesky laplacian(const pleat::OneRings& rings) {
+pleat::SparseCholesky laplacian(const pleat::conversion::OneRings& rings) {
   std::vector<Eigen::Triplet<double>> entries = {{0, 0, 1.0}};
   for (const auto& e : rings.edges()) {
     const int a = static_cast<int>(e.a), b = static_cast<int>(e.b);
@@ -69,24 +69,25 @@ pleat::SparseCholesky laplacian(const pleat::OneRings& rings) {
 void measure(int side, int runs) {
   const pleat::Topology topology = pleat::test::sheet(side, side, 1.0f / static_cast<float>(side - 1));
   const auto rings = pleat::test::rings_of(topology);
-  const pleat::FeatureExtractor logarithms(rings, RotationCode::kLogarithm);
-  const pleat::FeatureExtractor quaternions(rings, RotationCode::kQuaternion);
-  const pleat::GradientChannels channels(topology.rest_positions);
+  const pleat::conversion::FeatureExtractor logarithms(rings, RotationCode::kLogarithm);
+  const pleat::conversion::FeatureExtractor quaternions(rings, RotationCode::kQuaternion);
+  const pleat::conversion::GradientChannels channels(topology.rest_positions);
   Timer timer;
-  std::unique_ptr<pleat::CoordinateSolver> solver;
+  std::unique_ptr<pleat::conversion::CoordinateSolver> solver;
   for (int k = 0; k < 5; ++k) {
     timer.run("set-up: one-rings", [&] { pleat::test::rings_of(topology); });
     timer.run("set-up: factor", [&] {
       const auto corner = static_cast<std::uint32_t>(side - 1);
-      solver = std::make_unique<pleat::CoordinateSolver>(rings, pleat::Anchors{{0, corner}, {}, 0.1}, "sheet");
+      solver = std::make_unique<pleat::conversion::CoordinateSolver>(
+          rings, pleat::conversion::Anchors{{0, corner}, {}, 0.1}, "sheet");
     });
   }
   const pleat::SparseCholesky cholesky = laplacian(*rings);
   const Eigen::MatrixXd right = Eigen::MatrixXd::Random(topology.vertex_count(), 3);
 
-  pleat::ExtractedFrame by_logarithm, by_quaternion;
-  pleat::CoordinateScratch scratch;
-  pleat::GradientField field, gradients;
+  pleat::conversion::ExtractedFrame by_logarithm, by_quaternion;
+  pleat::conversion::CoordinateScratch scratch;
+  pleat::conversion::GradientField field, gradients;
   std::vector<float> planes;
   std::vector<double> plain;
   Positions handles(2, 3), result;
@@ -103,11 +104,12 @@ void measure(int side, int runs) {
     timer.run("extraction, quaternion (10 channels)", [&] { quaternions.extract(p, 0.1f, before_q, by_quaternion); });
     timer.run("  of it: gradients", [&] { rings->gradients(registers.data(), field); });
     timer.run("plain: rotation and stretch from gradients", [&] { plain_polar(field, plain); });
-    timer.run("gradients from 9 channels",
-              [&] { pleat::gradients_from_features(RotationCode::kLogarithm, by_logarithm.values, gradients); });
+    timer.run("gradients from 9 channels", [&] {
+      pleat::conversion::gradients_from_features(RotationCode::kLogarithm, by_logarithm.values, gradients);
+    });
     channels.to_planes(field, planes);
     timer.run("gradients from 6 channels", [&] { channels.from_planes(planes, gradients); });
-    timer.run("clamp", [&] { pleat::clamp_stretch(gradients); });
+    timer.run("clamp", [&] { pleat::conversion::clamp_stretch(gradients); });
     for (const int passes : {0, 1, 2}) {
       timer.run("coordinates, " + std::to_string(passes) + " passes",
                 [&] { solver->solve(gradients, handles, Positions(0, 3), passes, scratch, result); });

@@ -13,17 +13,19 @@ namespace {
 constexpr std::size_t kCountedPairs = 50'000;
 
 // What the report says must be what the judge finds.
-void check(const pleat::RefinementReport& report, const pleat::v1::RefineFrame& request,
+void check(const pleat::refinement::RefinementReport& report, const pleat::v1::RefineFrame& request,
            const pleat::v1::RefinedFrame& refined, const pleat::Faces& faces,
            const std::vector<pleat::ObstacleShape>& shapes) {
   const pleat::Positions positions = pleat::positions_from_message(refined.fine());
   if (!positions.allFinite()) std::abort();
   if (report.pairs_after + report.penetrations_after > report.pairs_before + report.penetrations_before) std::abort();
-  if (report.pairs_after < kCountedPairs && report.pairs_after != pleat::count_self_intersections(positions, faces)) {
+  if (report.pairs_after < kCountedPairs &&
+      report.pairs_after != pleat::refinement::count_self_intersections(positions, faces)) {
     std::abort();
   }
   const auto obstacles = pleat::obstacles_from_messages(request.obstacles(), shapes);
-  if (report.penetrations_after == 0 && pleat::count_penetrations(positions, faces, shapes, obstacles) != 0) {
+  if (report.penetrations_after == 0 &&
+      pleat::refinement::count_penetrations(positions, faces, shapes, obstacles) != 0) {
     std::abort();
   }
 }
@@ -38,7 +40,7 @@ void run(const std::vector<pleat::v1::RefineRequest>& messages) {
     for (const auto& obstacle : open.obstacles()) shapes.push_back(pleat::from_message(obstacle));
     for_frames([&](const pleat::v1::RefineFrame& frame) {
       pleat::v1::RefinedFrame refined;
-      const pleat::RefinementReport& report = session.refine(frame, &refined);
+      const pleat::refinement::RefinementReport& report = session.refine(frame, &refined);
       check(report, frame, refined, faces, shapes);
     });
   });

@@ -7,7 +7,7 @@
 
 #include "common/base/error.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 using Vec2 = Eigen::Vector2d;
@@ -375,4 +375,4 @@ ChartRaster rasterise_charts(const Topology& t, const TexelGrid& grid, bool with
   return raster;
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -9,7 +9,7 @@
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/mesh.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// A regular grid of texel centres in material space.
 struct TexelGrid {
@@ -57,4 +57,4 @@ Eigen::Vector2d recover_material_scale(const Topology& topology);
 /// is valid, or (with_rims) a chart has none. O(texels + faces + covered texels).
 ChartRaster rasterise_charts(const Topology& topology, const TexelGrid& grid, bool with_rims, const std::string& name);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

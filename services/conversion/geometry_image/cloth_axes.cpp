@@ -7,7 +7,7 @@
 
 #include "common/base/simd.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 constexpr float kSmallestLength = 1e-9F;
@@ -242,4 +242,4 @@ void EnlargedAxes::turn_back(const float* axes, float* values) const {
   }
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -6,7 +6,7 @@
 
 #include "services/conversion/geometry_image/image_map.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// What a network reads in the cloth's own axes, channels in this order: strains of the texel's steps along u and v
 /// (3: uu, vv, uv), second differences of the positions uu, uv, vv in each axis (9, metres), the interpolated normal's
@@ -65,4 +65,4 @@ class EnlargedAxes {
   std::vector<Between> rows_, columns_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -8,7 +8,7 @@
 #include "common/base/error.hpp"
 #include "common/base/simd.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 constexpr float kSmallestWeight = 1e-4F;
@@ -269,4 +269,4 @@ void DetailImage::base(const Positions& coarse, const RigidTransform& alignment,
   fine = ((fine * alignment.rotation.transpose()).rowwise() + alignment.translation.transpose()).eval();
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -8,7 +8,7 @@
 #include "services/conversion/geometry_image/cloth_axes.hpp"
 #include "services/conversion/geometry_image/geometry_image.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// Input: the channels of cloth_channel_names() at each coarse texel. Answer: three channels, at each fine texel the
 /// vector from the coarse surface to the fine one along the texel's axes (enlarged bilinearly), metres. Constants: at
@@ -50,4 +50,4 @@ class DetailImage final : public GeometryImage {
   mutable Pool<Scratch> scratch_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -6,7 +6,7 @@
 
 #include "common/base/error.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 GeometryImage::GeometryImage(const Topology& coarse, Subdivision subdivision, const RepresentationSpec& spec)
     : spec_(spec),
       coarse_(coarse),
@@ -121,4 +121,4 @@ void PositionImage::base(const Positions&, const RigidTransform&, Positions& fin
   fine = Positions::Zero(subdivision_.fine.vertex_count(), 3);
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -4,7 +4,7 @@
 #include "services/conversion/geometry_image/image_map.hpp"
 #include "services/conversion/representation.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// What the layouts share: meshes, maps, shapes. The published layout is one that reads and answers all nine channels
 /// in the alignment's axes.
@@ -68,4 +68,4 @@ class PositionImage final : public GeometryImage {
   void encode_frame(const Frame& frame, const RigidTransform& alignment, float* planes) const override;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -12,7 +12,7 @@
 #include "services/conversion/geometry_image/texel_fit.hpp"
 #include "services/conversion/rigid_alignment.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 void check_spec(const ImageSpec& spec) {
@@ -361,4 +361,4 @@ Positions ImageMap::velocities(const Tensor& image, const RigidTransform& transf
   return result;
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -19,7 +19,7 @@
 #include "services/conversion/geometry_image/image_spec.hpp"
 #include "services/conversion/vertex_reads.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// A coarse frame as an image, with the alignment that its fine frame needs.
 struct CoarseImage {
@@ -103,4 +103,4 @@ class ImageMap {
   std::unique_ptr<Maps> maps_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

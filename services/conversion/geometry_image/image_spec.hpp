@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// Weight of the second differences of a fitted fine image.
 inline constexpr double kDefaultFitWeight = 5e-5;
@@ -43,4 +43,4 @@ struct GeometryImageSpec {
   ImageSpec image;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

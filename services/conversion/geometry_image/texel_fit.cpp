@@ -2,7 +2,7 @@
 
 #include "common/base/error.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 // E^2 inside charts and at their rims.
@@ -102,4 +102,4 @@ Eigen::MatrixXd TexelFit::solve(const Eigen::MatrixXd& vertex_values) const {
   return texels;
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -6,7 +6,7 @@
 #include "common/mesh/sparse_cholesky.hpp"
 #include "services/conversion/geometry_image/chart_raster.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// Solves min_x |A x - y|^2 + lambda |D x|^2 + |E (x - S y)|^2 over the valid texels x for vertex values y, where A are
 /// the vertices' bilinear reads, D the second differences along rows and columns inside one chart, and S the sampled
@@ -32,4 +32,4 @@ class TexelFit {
   std::unique_ptr<SparseCholesky> factor_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

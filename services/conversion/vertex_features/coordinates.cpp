@@ -7,7 +7,7 @@
 #include "common/mesh/connectivity.hpp"
 #include "services/conversion/vertex_features/vectors.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 // (V) number of each vertex's connected part, counted up from 0.
@@ -249,4 +249,4 @@ void CoordinateSolver::correct(const GradientField& gradients, int passes, Coord
   store(scratch.positions, positions);
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

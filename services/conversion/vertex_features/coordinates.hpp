@@ -11,7 +11,7 @@
 #include "services/conversion/vertex_features/factor.hpp"
 #include "services/conversion/vertex_features/one_rings.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// Which vertices say where the cloth is. Every connected part of the mesh needs one of either kind.
 struct Anchors {
@@ -86,4 +86,4 @@ class CoordinateSolver {
   std::unique_ptr<const LaneFactor> factor_;    // null where nothing is unknown
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -7,7 +7,7 @@
 #include "common/base/error.hpp"
 #include "services/conversion/vertex_features/polar.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 // A rest mesh counts as flat if it leaves its plane by less than this share of its extent.
@@ -193,4 +193,4 @@ void clamp_stretch(GradientField& field, float lowest, float highest) {
   }
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -9,7 +9,7 @@
 
 #include "services/conversion/vertex_features/rotation_labels.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// The features of one frame, and memory that the next one reuses.
 struct ExtractedFrame {
@@ -70,4 +70,4 @@ class GradientChannels {
 /// must not tear the mesh.
 void clamp_stretch(GradientField& field, float lowest = 0.3f, float highest = 3.0f);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -1,6 +1,6 @@
 #include "services/conversion/vertex_features/factor.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 LaneFactor::LaneFactor(const SparseCholesky::Triangle& triangle) {
   const Eigen::SparseMatrix<double>& lower = triangle.lower;
@@ -39,4 +39,4 @@ void LaneFactor::solve(std::vector<Double4>& x) const {
   }
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

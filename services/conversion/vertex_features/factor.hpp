@@ -7,7 +7,7 @@
 #include "common/base/simd.hpp"
 #include "common/mesh/sparse_cholesky.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 class LaneFactor {
  public:
@@ -24,4 +24,4 @@ class LaneFactor {
   std::vector<double> inverse_diagonal_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

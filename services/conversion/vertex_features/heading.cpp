@@ -3,7 +3,7 @@
 #include <cmath>
 #include <numbers>
 
-namespace pleat {
+namespace pleat::conversion {
 
 Eigen::Vector3f centroid(const Positions& positions) {
   if (positions.rows() == 0) return Eigen::Vector3f::Zero();
@@ -28,4 +28,4 @@ float heading(const Positions& rest_positions, const Positions& positions, float
   return static_cast<float>(angle + kTurn * std::nearbyint((static_cast<double>(previous) - angle) / kTurn));
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

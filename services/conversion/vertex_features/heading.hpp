@@ -3,7 +3,7 @@
 
 #include "common/mesh/mesh.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// The angle about Y (radians) that turns the rest positions nearest to these ones:
 /// atan2(sum a_z b_x - a_x b_z, sum a_x b_x + a_z b_z), a and b the positions about their centroids; the one nearest to
@@ -14,4 +14,4 @@ float heading(const Positions& rest_positions, const Positions& positions, float
 /// The mean of the positions; zero for none.
 Eigen::Vector3f centroid(const Positions& positions);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -8,7 +8,7 @@
 #include "common/mesh/connectivity.hpp"
 #include "services/conversion/vertex_features/vectors.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 constexpr double kNormalShare = 0.3;
@@ -237,4 +237,4 @@ void load_positions(const Positions& positions, std::size_t vertex_count, float 
   }
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

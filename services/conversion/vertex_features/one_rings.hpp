@@ -9,7 +9,7 @@
 #include "common/base/simd.hpp"
 #include "common/mesh/mesh.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// Vertices that are worked on at a time.
 inline constexpr std::size_t kRingPack = 8;
@@ -83,4 +83,4 @@ class OneRings {
 void load_positions(const Positions& positions, std::size_t vertex_count, float angle, const Eigen::Vector3f& origin,
                     const std::string& name, std::vector<Float4>& to);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -3,7 +3,7 @@
 #include <Eigen/LU>
 #include <Eigen/SVD>
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 constexpr int kMostPasses = 12;
@@ -134,4 +134,4 @@ Matrix8 compose(const Matrix8& r, const std::array<Float8, 6>& s) {
   return t;
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

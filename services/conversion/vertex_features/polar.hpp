@@ -3,7 +3,7 @@
 
 #include "services/conversion/vertex_features/vectors.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// T = R S with R a proper rotation and S symmetric. S has one negative eigenvalue, that of the smallest magnitude,
 /// where det T < 0.
@@ -31,4 +31,4 @@ Matrix8 rotations_from_quaternions(const Quaternion8& quaternion);
 /// R S, S by its upper triangle.
 Matrix8 compose(const Matrix8& rotation, const std::array<Float8, 6>& stretch);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

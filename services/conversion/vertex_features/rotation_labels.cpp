@@ -7,7 +7,7 @@
 
 #include "services/conversion/vertex_features/vectors.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 constexpr float kPi = std::numbers::pi_v<float>, kTurn = 2 * kPi;
@@ -208,4 +208,4 @@ std::vector<std::uint8_t> RotationLabels::away_from_torn(const std::vector<Float
   return away;
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -9,7 +9,7 @@
 #include "services/conversion/vertex_features/one_rings.hpp"
 #include "services/conversion/vertex_features/vertex_spec.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 inline int rotation_channels(RotationCode code) { return code == RotationCode::kLogarithm ? 3 : 4; }
 
@@ -61,4 +61,4 @@ class RotationLabels {
   std::vector<std::uint32_t> offsets_, neighbours_;  // compressed rows
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -5,7 +5,7 @@
 
 #include "common/base/error.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 constexpr std::string_view kMagic = "PVF1";
@@ -62,4 +62,4 @@ StreamState stream_state_from_bytes(std::string_view bytes, RotationCode code, s
   return state;
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -8,7 +8,7 @@
 
 #include "services/conversion/vertex_features/rotation_labels.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 struct StreamState {
   float heading = 0;
@@ -22,4 +22,4 @@ std::string to_bytes(const StreamState& state, RotationCode code);
 /// vertex count, and for numbers that are not finite.
 StreamState stream_state_from_bytes(std::string_view bytes, RotationCode code, std::size_t vertex_count);
 
-}  // namespace pleat
+}  // namespace pleat::conversion

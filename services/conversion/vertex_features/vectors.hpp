@@ -3,7 +3,7 @@
 
 #include "services/conversion/vertex_features/one_rings.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 struct Vector8 {
   Float8 x, y, z;
@@ -58,4 +58,4 @@ inline void store_lanes(Float8 value, float* plane, std::size_t first, std::size
   for (std::size_t k = 0; first + k < count; ++k) plane[first + k] = value[static_cast<int>(k)];
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -10,7 +10,7 @@
 #include "common/mesh/connectivity.hpp"
 #include "services/conversion/vertex_features/heading.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 /// A fine vertex by the coarse vertices that it is a mean of: (vertex, its share of 2^rounds), ascending, kNone last.
@@ -365,4 +365,4 @@ std::size_t VertexRepresentation::size() const {
   return 32 * static_cast<std::size_t>(fine().vertex_count()) + 4 * answer_places() + constants_.values.size();
 }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

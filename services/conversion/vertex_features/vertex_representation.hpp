@@ -10,7 +10,7 @@
 #include "services/conversion/vertex_features/coordinates.hpp"
 #include "services/conversion/vertex_features/extraction.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// The places of all tensors are the F coarse faces. Input (3 C, 1, F): the C features of each corner, rotation and
 /// stretch of its one-ring, position about the centroid (m) and velocity (m/s), in the axes of the newest frame's
@@ -83,4 +83,4 @@ class VertexRepresentation final : public Representation {
   mutable Pool<Scratch> scratch_;
 };
 
-}  // namespace pleat
+}  // namespace pleat::conversion

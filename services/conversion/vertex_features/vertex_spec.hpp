@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-namespace pleat {
+namespace pleat::conversion {
 
 /// How a rotation is written down.
 enum class RotationCode {
@@ -30,4 +30,4 @@ inline int patch_vertices(int rounds) {
 /// Side of the smallest square that has a place for each of them.
 inline int patch_side(int rounds) { return static_cast<int>(std::ceil(std::sqrt(patch_vertices(rounds)))); }
 
-}  // namespace pleat
+}  // namespace pleat::conversion

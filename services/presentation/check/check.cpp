@@ -58,7 +58,7 @@ void check_mesh(const std::string& file, const CheckOptions& options, Findings& 
                            " triangles, " + std::to_string(count_components(mesh.vertex_count(), mesh.faces)) +
                            " pieces, " + extent(static_cast<float>(options.scale) * mesh.rest_positions));
   findings.facts.push_back(rims == 0 ? "closed" : std::to_string(rims) + " edges on rims");
-  const std::size_t pairs = count_self_intersections(mesh.rest_positions, mesh.faces);
+  const std::size_t pairs = refinement::count_self_intersections(mesh.rest_positions, mesh.faces);
   const std::string intersecting = file + ": " + std::to_string(pairs) + " pairs of faces intersect";
   if (!is_garment(file, findings)) {
     if (pairs > 0) findings.notes.push_back(intersecting);

@@ -75,14 +75,14 @@ json ranges_json(const ChannelRanges& ranges) {
   return {{"offset", ranges.offset}, {"scale", ranges.scale}, {"limit", ranges.limit}};
 }
 
-json document_of(const VertexFeatureSpec& features) {
+json document_of(const conversion::VertexFeatureSpec& features) {
   return {{"rotation", kRotations[static_cast<std::size_t>(features.rotation)]},
           {"fixed_axes", features.fixed_axes},
           {"passes", features.passes},
           {"anchor_weight", features.anchor_weight}};
 }
 
-json document_of(const GeometryImageSpec& image) {
+json document_of(const conversion::GeometryImageSpec& image) {
   return {{"layout", kLayouts[static_cast<std::size_t>(image.layout)]},
           {"base", kBases[static_cast<std::size_t>(image.base)]},
           {"width", image.image.coarse_width},
@@ -91,7 +91,7 @@ json document_of(const GeometryImageSpec& image) {
 }
 
 json document_of(const Metadata& m) {
-  const bool image = std::holds_alternative<GeometryImageSpec>(m.representation.kind);
+  const bool image = std::holds_alternative<conversion::GeometryImageSpec>(m.representation.kind);
   return {{image ? "geometry_image" : "vertex_features",
            std::visit([](const auto& kind) { return document_of(kind); }, m.representation.kind)},
           {"subdivision_rounds", m.representation.subdivision.rounds},
@@ -101,20 +101,20 @@ json document_of(const Metadata& m) {
           {"output", ranges_json(m.output)}};
 }
 
-VertexFeatureSpec read_features(const Object& features) {
-  VertexFeatureSpec spec;
-  spec.rotation = features.choice<RotationCode>("rotation", kRotations);
+conversion::VertexFeatureSpec read_features(const Object& features) {
+  conversion::VertexFeatureSpec spec;
+  spec.rotation = features.choice<conversion::RotationCode>("rotation", kRotations);
   spec.fixed_axes = features.get<bool>("fixed_axes", false);
-  spec.passes = features.integer("passes", kDefaultPasses, 0, kMostPasses);
-  spec.anchor_weight = features.get<double>("anchor_weight", kDefaultAnchorWeight);
+  spec.passes = features.integer("passes", conversion::kDefaultPasses, 0, conversion::kMostPasses);
+  spec.anchor_weight = features.get<double>("anchor_weight", conversion::kDefaultAnchorWeight);
   return spec;
 }
 
-GeometryImageSpec read_image(const Object& object) {
+conversion::GeometryImageSpec read_image(const Object& object) {
   const Object image = object.object("geometry_image");
-  GeometryImageSpec spec;
-  spec.layout = image.choice<ImageLayout>("layout", kLayouts);
-  spec.base = image.choice<DetailBase>("base", kBases);
+  conversion::GeometryImageSpec spec;
+  spec.layout = image.choice<conversion::ImageLayout>("layout", kLayouts);
+  spec.base = image.choice<conversion::DetailBase>("base", kBases);
   spec.image.coarse_width = image.integer("width", 0, 0, kLargestImageSide);
   spec.image.coarse_height = image.integer("height", 0, 0, kLargestImageSide);
   spec.image.scale = image.integer("scale", 4, 1, 16);
@@ -130,7 +130,7 @@ void read_representation(const Object& object, Metadata& m) {
   m.representation.subdivision.rounds =
       object.integer("subdivision_rounds", kDefaultSubdivisionRounds, 0, kMaxSubdivisionRounds);
   m.representation.subdivision.rule = object.choice<SubdivisionRule>("subdivision_rule", kRules);
-  m.representation.window = object.integer("window", 1, 1, kMaxWindow);
+  m.representation.window = object.integer("window", 1, 1, conversion::kMaxWindow);
   m.input = object.ranges("input");
   m.output = object.ranges("output");
 }
@@ -142,11 +142,11 @@ Ports ports_of(const Metadata& metadata) {
   ports.inputs = metadata.representation.window * static_cast<int>(metadata.input.channels()) + metadata.constants;
   ports.outputs = static_cast<int>(metadata.output.channels());
   ports.window = metadata.representation.window;
-  if (const auto* image = std::get_if<GeometryImageSpec>(&metadata.representation.kind)) {
+  if (const auto* image = std::get_if<conversion::GeometryImageSpec>(&metadata.representation.kind)) {
     ports.scale = image->image.scale;
-    ports.detail = image->layout == ImageLayout::kDetail;
+    ports.detail = image->layout == conversion::ImageLayout::kDetail;
   } else {
-    ports.scale = patch_side(metadata.representation.subdivision.rounds);
+    ports.scale = conversion::patch_side(metadata.representation.subdivision.rounds);
     ports.detail = true;
   }
   return ports;

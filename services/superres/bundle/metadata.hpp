@@ -16,13 +16,13 @@ inline constexpr int kBundleVersion = 2;  ///< version of pleat.json that this p
 
 /// Everything that pleat.json holds.
 struct Metadata {
-  std::string name;                   ///< the bundle's name; its file is <name>.pt
-  Architecture architecture;          ///< of a module made elsewhere only the kind counts
-  RepresentationSpec representation;  ///< how conversion has to be set up
-  ChannelRanges input, output;        ///< of the channels of one frame, and of an answer; not empty
-  int constants = 0;                  ///< channels of what the network reads beside the frames
-  std::string topology_hash;          ///< of the coarse mesh; empty: serves any mesh and any size of image
-  std::string velocity = "backward";  ///< v_k = (x_k - x_{k-1}) / frame time
+  std::string name;                               ///< the bundle's name; its file is <name>.pt
+  Architecture architecture;                      ///< of a module made elsewhere only the kind counts
+  conversion::RepresentationSpec representation;  ///< how conversion has to be set up
+  ChannelRanges input, output;                    ///< of the channels of one frame, and of an answer; not empty
+  int constants = 0;                              ///< channels of what the network reads beside the frames
+  std::string topology_hash;                      ///< of the coarse mesh; empty: serves any mesh and any size of image
+  std::string velocity = "backward";              ///< v_k = (x_k - x_{k-1}) / frame time
   /// Parameters whose names begin with one of these stay float32 when the rest is turned into bfloat16. Empty: the
   /// module takes no bfloat16.
   std::vector<std::string> float32_parameters;

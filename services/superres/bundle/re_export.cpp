@@ -43,9 +43,9 @@ Metadata metadata_of(const json& old, const Values& values, const std::string& p
     throw_invalid_argument(path + ": residual '" + residual + "' and axes '" + axes +
                            "' have no form in version 2; train it again");
   }
-  GeometryImageSpec spec;
-  spec.layout = detail ? ImageLayout::kDetail : ImageLayout::kPublished;
-  spec.base = DetailBase::kTexels;
+  conversion::GeometryImageSpec spec;
+  spec.layout = detail ? conversion::ImageLayout::kDetail : conversion::ImageLayout::kPublished;
+  spec.base = conversion::DetailBase::kTexels;
   spec.image.coarse_width = old.at("coarse_image").at(0).get<int>();
   spec.image.coarse_height = old.at("coarse_image").at(1).get<int>();
   spec.image.scale = kOldScale;

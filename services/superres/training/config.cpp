@@ -28,7 +28,7 @@ void visit(Visitor& v, Config& c) {
   v.section("vertex_features", [&] {
     v.choice("rotation", c.vertex_features.rotation, {"logarithm", "quaternion"});
     v.choice("axes", c.vertex_features.axes, {"heading", "fixed"});
-    v.range("passes", c.vertex_features.passes, 0, kMostPasses);
+    v.range("passes", c.vertex_features.passes, 0, conversion::kMostPasses);
     v.range("anchor_weight", c.vertex_features.anchor_weight, 1e-6, 1e6);
   });
   v.section("images", [&] {
@@ -76,7 +76,7 @@ void visit(Visitor& v, Config& c) {
     v.range("every_frames", c.validation.every_frames, 1, 1000000);
     v.range("every_epochs", c.validation.every_epochs, 1, 1000000);
   });
-  v.range("window", c.window, 1, kMaxWindow);
+  v.range("window", c.window, 1, conversion::kMaxWindow);
   v.range("epochs", c.epochs, 1, 1000000);
   v.range("batch", c.batch, 1, 4096);
   v.range("micro_batch", c.micro_batch, 0, 4096);

@@ -13,8 +13,8 @@ constexpr std::uint64_t kChunk = 8;  ///< frames read and converted together: a 
 
 }  // namespace
 
-FrameConverter::FrameConverter(const DatasetReader& reader, const Representation& representation, ThreadPool& pool,
-                               std::function<bool()> stopped)
+FrameConverter::FrameConverter(const DatasetReader& reader, const conversion::Representation& representation,
+                               ThreadPool& pool, std::function<bool()> stopped)
     : reader_(reader), representation_(representation), pool_(pool), stopped_(std::move(stopped)) {}
 
 void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride, int window,

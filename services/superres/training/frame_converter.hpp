@@ -19,7 +19,7 @@ struct Converted {
 class FrameConverter {
  public:
   /// stopped: asked after every few frames; true ends run() with kCancelled.
-  FrameConverter(const DatasetReader& reader, const Representation& representation, ThreadPool& pool,
+  FrameConverter(const DatasetReader& reader, const conversion::Representation& representation, ThreadPool& pool,
                  std::function<bool()> stopped);
 
   /// Calls use(frame index, converted) in frame order, for one frame in `stride`. window: frames that an input shows;
@@ -29,7 +29,7 @@ class FrameConverter {
 
  private:
   const DatasetReader& reader_;
-  const Representation& representation_;
+  const conversion::Representation& representation_;
   ThreadPool& pool_;
   std::function<bool()> stopped_;
 };

@@ -24,28 +24,29 @@ using nlohmann::json;
 constexpr std::size_t kMeasuredFrames = 256;
 constexpr float kDetailLimit = 6;  ///< folds have curvatures far beyond the deviation
 
-VertexFeatureSpec features_spec(const FeaturesConfig& c) {
-  return {c.rotation == "quaternion" ? RotationCode::kQuaternion : RotationCode::kLogarithm, c.axes == "fixed",
-          c.passes, c.anchor_weight};
+conversion::VertexFeatureSpec features_spec(const FeaturesConfig& c) {
+  return {c.rotation == "quaternion" ? conversion::RotationCode::kQuaternion : conversion::RotationCode::kLogarithm,
+          c.axes == "fixed", c.passes, c.anchor_weight};
 }
 
-GeometryImageSpec image_spec(const ImagesConfig& c) {
-  GeometryImageSpec kind;
-  kind.layout = c.layout == "detail"      ? ImageLayout::kDetail
-                : c.layout == "positions" ? ImageLayout::kPositions
-                                          : ImageLayout::kPublished;
-  kind.base = c.base == "texels" ? DetailBase::kTexels : DetailBase::kVertices;
+conversion::GeometryImageSpec image_spec(const ImagesConfig& c) {
+  conversion::GeometryImageSpec kind;
+  kind.layout = c.layout == "detail"      ? conversion::ImageLayout::kDetail
+                : c.layout == "positions" ? conversion::ImageLayout::kPositions
+                                          : conversion::ImageLayout::kPublished;
+  kind.base = c.base == "texels" ? conversion::DetailBase::kTexels : conversion::DetailBase::kVertices;
   kind.image.texels_per_fine_vertex = c.texels_per_fine_vertex;
   kind.image.coarse_width = c.coarse_width;
   kind.image.coarse_height = c.coarse_height;
   kind.image.scale = c.scale;
-  kind.image.method = c.method == "sampled" ? FineImageMethod::kSampled : FineImageMethod::kFitted;
+  kind.image.method =
+      c.method == "sampled" ? conversion::FineImageMethod::kSampled : conversion::FineImageMethod::kFitted;
   kind.image.lambda = c.lambda;
   return kind;
 }
 
-RepresentationSpec make_spec(const TrainConfig& config, const MeshPair& pair) {
-  RepresentationSpec spec;
+conversion::RepresentationSpec make_spec(const TrainConfig& config, const MeshPair& pair) {
+  conversion::RepresentationSpec spec;
   spec.kind = image_spec(config.images);
   if (config.representation == "vertex_features") spec.kind = features_spec(config.vertex_features);
   spec.window = config.window;
@@ -75,7 +76,8 @@ class Loader {
       : config_(config),
         report_(report),
         reader_(config.dataset),
-        representation_(make_representation(master().topology.coarse, make_spec(config, master().topology))),
+        representation_(
+            conversion::make_representation(master().topology.coarse, make_spec(config, master().topology))),
         pool_(static_cast<std::size_t>(config.threads)),
         converter_(reader_, *representation_, pool_, stopped) {}
 
@@ -300,7 +302,7 @@ class Loader {
   const TrainConfig& config_;
   const std::function<void(const std::string&)>& report_;
   const DatasetReader reader_;
-  const std::shared_ptr<const Representation> representation_;
+  const std::shared_ptr<const conversion::Representation> representation_;
   ThreadPool pool_;
   const FrameConverter converter_;
   std::vector<SequenceInfo> usable_;

@@ -13,13 +13,13 @@ double mean_square(const Positions& a, const Positions& b) {
   return (a - b).cast<double>().squaredNorm() / static_cast<double>(a.rows());
 }
 
-Positions upsampled(const Representation& representation, const Positions& coarse) {
+Positions upsampled(const conversion::Representation& representation, const Positions& coarse) {
   return upsample(representation.subdivision(), representation.coarse().faces, coarse);
 }
 
 }  // namespace
 
-FrameMeshes::FrameMeshes(std::shared_ptr<const Representation> representation, const ChannelRanges& output)
+FrameMeshes::FrameMeshes(std::shared_ptr<const conversion::Representation> representation, const ChannelRanges& output)
     : representation_(std::move(representation)), output_(output) {}
 
 void FrameMeshes::add(std::size_t sequence, std::size_t frame, Positions coarse, Positions fine) {
@@ -51,7 +51,7 @@ const FrameMeshes::Meshes& FrameJudge::validated(std::size_t sequence, std::size
 
 double FrameJudge::squared_error(std::size_t sequence, std::size_t frame, std::span<const float> answer) {
   const FrameMeshes::Meshes& meshes = validated(sequence, frame);
-  const Representation& representation = meshes_->representation();
+  const conversion::Representation& representation = meshes_->representation();
   Tensor tensor{representation.answer_shape(), {}, {answer.begin(), answer.end()}};
   denormalize(meshes_->output(), tensor);
   Positions fine;
@@ -75,8 +75,8 @@ std::vector<float> FrameJudge::barycentric_answer(std::size_t sequence, std::siz
   return std::move(answer.values);
 }
 
-MeshRead make_mesh_read(const Representation& representation) {
-  const VertexReads& reads = representation.reads();
+MeshRead make_mesh_read(const conversion::Representation& representation) {
+  const conversion::VertexReads& reads = representation.reads();
   const Topology& fine = representation.fine();
   MeshRead result;
   const auto vertices = static_cast<std::size_t>(fine.vertex_count());

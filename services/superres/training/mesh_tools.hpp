@@ -15,7 +15,7 @@ namespace pleat::superres {
 /// The coarse meshes of some frames, and of those that are validated the fine ones too.
 class FrameMeshes final : public FrameGeometry {
  public:
-  FrameMeshes(std::shared_ptr<const Representation> representation, const ChannelRanges& output);
+  FrameMeshes(std::shared_ptr<const conversion::Representation> representation, const ChannelRanges& output);
 
   void add(std::size_t sequence, std::size_t frame, Positions coarse, Positions fine);
 
@@ -28,11 +28,11 @@ class FrameMeshes final : public FrameGeometry {
   };
   /// Throws kInternal for a frame that was not added.
   const Meshes& at(std::size_t sequence, std::size_t frame) const;
-  const Representation& representation() const { return *representation_; }
+  const conversion::Representation& representation() const { return *representation_; }
   const ChannelRanges& output() const { return output_; }
 
  private:
-  std::shared_ptr<const Representation> representation_;
+  std::shared_ptr<const conversion::Representation> representation_;
   ChannelRanges output_;
   std::map<std::pair<std::size_t, std::size_t>, Meshes> meshes_;
 };
@@ -52,7 +52,7 @@ class FrameJudge final : public MeshJudge {
   std::shared_ptr<const FrameMeshes> meshes_;
 };
 
-MeshRead make_mesh_read(const Representation& representation);
+MeshRead make_mesh_read(const conversion::Representation& representation);
 
 /// u and v directions if the rest positions are an affine function of the material coordinates, and those are mirror
 /// symmetric as a rectangle is; else empty.

@@ -52,11 +52,13 @@ void ImageStore::read(std::size_t index, int row, int column, int height, int wi
 }
 
 bool PairData::has_axes() const {
-  const auto* image = std::get_if<GeometryImageSpec>(&representation.kind);
-  return image != nullptr && image->layout == ImageLayout::kDetail;
+  const auto* image = std::get_if<conversion::GeometryImageSpec>(&representation.kind);
+  return image != nullptr && image->layout == conversion::ImageLayout::kDetail;
 }
 
-bool PairData::detail() const { return has_axes() || std::holds_alternative<VertexFeatureSpec>(representation.kind); }
+bool PairData::detail() const {
+  return has_axes() || std::holds_alternative<conversion::VertexFeatureSpec>(representation.kind);
+}
 
 std::size_t PairData::training_frames() const {
   std::size_t frames = 0;

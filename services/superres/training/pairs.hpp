@@ -102,7 +102,7 @@ class FrameGeometry {
 struct PairData {
   std::vector<PairSequence> sequences;
   std::vector<std::uint8_t> answer_mask;  ///< (H W): 1 where a texel holds a value of its own
-  RepresentationSpec representation;
+  conversion::RepresentationSpec representation;
   ChannelRanges input_ranges, output_ranges;                 ///< of one frame, and of an answer
   std::vector<std::string> input_channels, answer_channels;  ///< the same: names
   Tensor constants;                                          ///< (K, h, w), or without a shape

@@ -6,7 +6,7 @@
 #include "tests/support/allocation_counter.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 TEST(HotPath, BothDirectionsTakeNoMemory) {
@@ -36,4 +36,4 @@ TEST(HotPath, BothDirectionsTakeNoMemory) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -9,7 +9,7 @@
 #include "tests/support/errors.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 RepresentationSpec spec_of(ImageLayout layout, DetailBase base = DetailBase::kVertices, SubdivisionSpec fine = {}) {
@@ -237,4 +237,4 @@ TEST(Representation, AFineMeshOfItsOwn) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::conversion

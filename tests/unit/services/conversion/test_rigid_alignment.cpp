@@ -7,7 +7,7 @@
 #include "common/base/error.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 Positions random_cloud(Eigen::Index count, unsigned seed) {
@@ -117,4 +117,4 @@ TEST(Kabsch, BadInputIsRefused) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::conversion

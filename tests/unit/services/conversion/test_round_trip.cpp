@@ -5,7 +5,7 @@
 #include "services/conversion/rigid_alignment.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 using test::Garment;
@@ -155,4 +155,4 @@ TEST(RoundTripSeam, ChartsSideBySideDoNotBleed) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::conversion

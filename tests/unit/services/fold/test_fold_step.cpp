@@ -195,9 +195,9 @@ TEST_F(FoldStepTest, WhatPassesThroughItselfGoesBack) {
     state.positions(v, 0) += 3 * height * std::tanh(-along / 0.01f);
     state.positions(v, 1) += height;
   }
-  ASSERT_GT(count_self_intersections(state.positions, subdivision.fine.faces), 0u);
+  ASSERT_GT(refinement::count_self_intersections(state.positions, subdivision.fine.faces), 0u);
   for (int k = 0; k < 20; ++k) step.fold({rest, still}, state);
-  EXPECT_EQ(count_self_intersections(state.positions, subdivision.fine.faces), 0u);
+  EXPECT_EQ(refinement::count_self_intersections(state.positions, subdivision.fine.faces), 0u);
 }
 
 TEST_F(FoldStepTest, AStartDrawsTheClothToItself) {

@@ -6,7 +6,7 @@
 #include "tests/support/allocation_counter.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 TEST(HotPath, ASequenceSeenBeforeTakesNoMemory) {
@@ -53,4 +53,4 @@ TEST(HotPath, ASequenceSeenBeforeTakesNoMemory) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -4,7 +4,7 @@
 
 #include "tests/unit/services/refinement/shapes.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 // Three cloths in one mesh: a wavy sheet across the obstacles, a small one wholly inside the torus, one far away.
@@ -102,4 +102,4 @@ TEST_P(Contacts, PenetrationsFollowMovedPatches) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -10,7 +10,7 @@
 #include "tests/unit/services/refinement/independent_judge.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 using test::load_cloth;
@@ -140,4 +140,4 @@ TEST(Judge, BadInputIsRefused) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::refinement

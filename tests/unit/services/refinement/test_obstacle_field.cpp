@@ -9,7 +9,7 @@
 #include "tests/unit/services/refinement/independent_judge.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 ObstacleFrame mesh_frame(const std::string& name, const Positions& positions) {
@@ -210,4 +210,4 @@ TEST(ObstacleField, BadObstaclesAreRefused) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -10,7 +10,7 @@
 #include "tests/unit/services/refinement/independent_judge.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 using test::Cloth;
@@ -364,4 +364,4 @@ TEST(Refiner, BadInputIsRefusedAndTheRefinerStaysUsable) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::refinement

@@ -7,7 +7,7 @@
 #include "common/mesh/sparse_cholesky.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 constexpr double kStandStill = 1e-3;
@@ -92,4 +92,4 @@ TEST(SmoothingSolver, WhatHasFadedIsZeroAndNothingElse) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::refinement

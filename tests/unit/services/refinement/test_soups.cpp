@@ -8,7 +8,7 @@
 #include "tests/unit/services/refinement/independent_judge.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
-namespace pleat {
+namespace pleat::refinement {
 namespace {
 
 // Coordinates whose coincidences grow: free floats; a grid on which points touch edges and faces; a coarse grid with
@@ -104,4 +104,4 @@ TEST_P(Soups, OfSheets) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::refinement

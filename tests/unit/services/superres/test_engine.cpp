@@ -45,7 +45,7 @@ class EngineTest : public testing::Test {
     m.name = name;
     m.architecture =
         complete({"mfsr", R"({"blocks": 1, "layers": 2, "growth": 4, "features": 8, "upsampling": "subpixel"})"});
-    GeometryImageSpec spec;
+    conversion::GeometryImageSpec spec;
     spec.image.coarse_width = 6, spec.image.coarse_height = 5;
     m.representation.kind = spec;
     m.input = m.output = {std::vector<float>(kChannels, -1), std::vector<float>(kChannels, 2), 0};

@@ -52,7 +52,7 @@ class ReplacedBundle : public testing::Test {
     Metadata m;
     m.name = "small";
     m.architecture.kind = "scaled";
-    GeometryImageSpec spec;
+    conversion::GeometryImageSpec spec;
     spec.image.coarse_width = kWidth, spec.image.coarse_height = kHeight;
     m.representation.kind = spec;
     m.input = m.output = {std::vector<float>(kChannels, -1), std::vector<float>(kChannels, 2), 0};

@@ -7,7 +7,7 @@
 #include <functional>
 #include <random>
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 /// Features by the letter, texel by texel, in double precision.
@@ -169,4 +169,4 @@ TEST(EnlargedAxes, TurnByTheBilinearAxes) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::conversion

@@ -8,7 +8,7 @@
 #include "services/conversion/rigid_alignment.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 using test::Garment;
@@ -333,4 +333,4 @@ TEST(ImageMapInput, BadFramesAreRefused) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::conversion

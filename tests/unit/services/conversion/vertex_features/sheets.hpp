@@ -47,24 +47,26 @@ inline Eigen::Vector3f waves(const Eigen::Vector3f& p) {
                              0.01f * std::sin(11 * p.x()));
 }
 
-inline std::shared_ptr<const OneRings> rings_of(const Topology& topology) {
-  return std::make_shared<const OneRings>(topology, "mesh");
+inline std::shared_ptr<const conversion::OneRings> rings_of(const Topology& topology) {
+  return std::make_shared<const conversion::OneRings>(topology, "mesh");
 }
 
 inline std::vector<Float4> registers(const Positions& positions) {
   std::vector<Float4> result;
-  load_positions(positions, static_cast<std::size_t>(positions.rows()), 0, Eigen::Vector3f::Zero(), "mesh", result);
+  conversion::load_positions(positions, static_cast<std::size_t>(positions.rows()), 0, Eigen::Vector3f::Zero(), "mesh",
+                             result);
   return result;
 }
 
-inline GradientField gradients_of(const OneRings& rings, const Positions& positions) {
-  GradientField field;
+inline conversion::GradientField gradients_of(const conversion::OneRings& rings, const Positions& positions) {
+  conversion::GradientField field;
   rings.gradients(registers(positions).data(), field);
   return field;
 }
 
 /// Edges whose ends' principal logarithms are more than pi apart.
-inline std::size_t torn_by_principal_logarithms(const OneRings& rings, const ExtractedFrame& frame) {
+inline std::size_t torn_by_principal_logarithms(const conversion::OneRings& rings,
+                                                const conversion::ExtractedFrame& frame) {
   std::size_t torn = 0;
   for (const auto& e : rings.edges()) {
     const Float4 a = frame.rotations[e.a] * frame.rotations[e.a][3], b = frame.rotations[e.b] * frame.rotations[e.b][3];

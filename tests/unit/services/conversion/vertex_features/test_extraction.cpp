@@ -12,7 +12,7 @@
 #include "tests/support/errors.hpp"
 #include "tests/unit/services/conversion/vertex_features/sheets.hpp"
 
-namespace pleat::test {
+namespace pleat::conversion {
 namespace {
 
 constexpr RotationCode kCodes[] = {RotationCode::kLogarithm, RotationCode::kQuaternion};
@@ -33,7 +33,7 @@ double largest_difference(const std::vector<float>& a, const std::vector<float>&
 TEST(Extraction, ReproducesTheAuthorsProgram) {
   const std::string folder = "tests/unit/services/conversion/vertex_features/golden/";
   const Topology rest = read_obj(folder + "rest.obj");
-  const FeatureExtractor extractor(rings_of(rest), RotationCode::kLogarithm);
+  const FeatureExtractor extractor(test::rings_of(rest), RotationCode::kLogarithm);
   const ExtractedFrame frame = extract(extractor, read_obj(folder + "bent.obj").rest_positions);
   std::ifstream file(folder + "features.txt");
   const std::size_t count = extractor.rings().vertex_count();
@@ -56,9 +56,9 @@ TEST(Extraction, ReproducesTheAuthorsProgram) {
 }
 
 TEST(Extraction, RestIsTheIdentity) {
-  const Topology t = sheet(13, 9, 0.05f);
+  const Topology t = test::sheet(13, 9, 0.05f);
   for (const RotationCode code : kCodes) {
-    const FeatureExtractor extractor(rings_of(t), code);
+    const FeatureExtractor extractor(test::rings_of(t), code);
     const ExtractedFrame frame = extract(extractor, t.rest_positions);
     const std::size_t count = extractor.rings().vertex_count();
     const auto rotations = static_cast<std::size_t>(rotation_channels(code));
@@ -72,23 +72,23 @@ TEST(Extraction, RestIsTheIdentity) {
 }
 
 TEST(Extraction, IgnoresPlaceAndHeading) {
-  const Topology t = sheet(17, 17, 0.06f);
-  const Positions wavy = deform(t, waves);
+  const Topology t = test::sheet(17, 17, 0.06f);
+  const Positions wavy = test::deform(t, test::waves);
   const Eigen::Matrix3f turn = Eigen::AngleAxisf(2.5f, Eigen::Vector3f::UnitY()).matrix();
   const Positions moved = (wavy * turn.transpose()).rowwise() + Eigen::RowVector3f(0.4f, -0.2f, 0.9f);
   for (const RotationCode code : kCodes) {
-    const FeatureExtractor extractor(rings_of(t), code);
+    const FeatureExtractor extractor(test::rings_of(t), code);
     EXPECT_LT(largest_difference(extract(extractor, wavy).values, extract(extractor, moved, 2.5f).values), 1e-5);
   }
 }
 
 TEST(Extraction, FeaturesGiveTheGradientsBack) {
-  const Topology t = sheet(17, 17, 0.06f);
-  Positions p = deform(t, waves);
+  const Topology t = test::sheet(17, 17, 0.06f);
+  Positions p = test::deform(t, test::waves);
   p.row(40) = p.row(41);  // a collapsed edge, and one-rings that are turned inside out
   p.row(100) += Eigen::RowVector3f(0.2f, 0, 0.3f);
-  const auto rings = rings_of(t);
-  const GradientField expected = gradients_of(*rings, p);
+  const auto rings = test::rings_of(t);
+  const GradientField expected = test::gradients_of(*rings, p);
   bool reflected = false;
   for (const RotationCode code : kCodes) {
     GradientField field;
@@ -103,30 +103,30 @@ TEST(Extraction, FeaturesGiveTheGradientsBack) {
 }
 
 TEST(Extraction, EverythingCollapsedIsStillFinite) {
-  const Topology t = sheet(9, 9, 0.1f);
+  const Topology t = test::sheet(9, 9, 0.1f);
   for (const RotationCode code : kCodes) {
-    const ExtractedFrame frame = extract(FeatureExtractor(rings_of(t), code), Positions::Zero(81, 3));
+    const ExtractedFrame frame = extract(FeatureExtractor(test::rings_of(t), code), Positions::Zero(81, 3));
     for (const float value : frame.values) EXPECT_TRUE(std::isfinite(value));
   }
 }
 
 TEST(Extraction, SameInputSameBits) {
-  const Topology t = sheet(17, 16, 0.06f);
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kLogarithm);
+  const Topology t = test::sheet(17, 16, 0.06f);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
   ExtractedFrame used = extract(extractor, t.rest_positions);
   const std::vector<Float4> previous = used.labels;
-  extractor.extract(deform(t, waves), 0.3f, previous, used);
+  extractor.extract(test::deform(t, test::waves), 0.3f, previous, used);
   ExtractedFrame fresh;
-  extractor.extract(deform(t, waves), 0.3f, previous, fresh);
+  extractor.extract(test::deform(t, test::waves), 0.3f, previous, fresh);
   EXPECT_EQ(used.values, fresh.values);
 }
 
 TEST(Extraction, RefusesByName) {
-  const Topology t = sheet(9, 9, 0.1f);
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kLogarithm);
+  const Topology t = test::sheet(9, 9, 0.1f);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
   Positions p = t.rest_positions;
   p(33, 2) = std::numeric_limits<float>::quiet_NaN();
-  EXPECT_THAT(error_of([&] { extract(extractor, p); }).what(), ::testing::HasSubstr("vertex 33"));
+  EXPECT_THAT(test::error_of([&] { extract(extractor, p); }).what(), ::testing::HasSubstr("vertex 33"));
   ExtractedFrame frame;
   const std::vector<Float4> previous(80);
   EXPECT_THROW(extractor.extract(t.rest_positions, 0, previous, frame), Error);
@@ -135,14 +135,14 @@ TEST(Extraction, RefusesByName) {
 }
 
 TEST(GradientChannels, FlatMeshesNeedTwoColumns) {
-  const Topology flat = sheet(9, 9, 0.1f);
+  const Topology flat = test::sheet(9, 9, 0.1f);
   Topology curved = flat;
-  curved.rest_positions = deform(flat, waves);
+  curved.rest_positions = test::deform(flat, test::waves);
   for (const Topology* t : std::initializer_list<const Topology*>{&flat, &curved}) {
     const GradientChannels channels(t->rest_positions);
     EXPECT_EQ(channels.channels(), t == &flat ? 6 : 9);
     EXPECT_EQ(channels.names().size(), static_cast<std::size_t>(channels.channels()));
-    const GradientField field = gradients_of(*rings_of(*t), deform(flat, waves));
+    const GradientField field = test::gradients_of(*test::rings_of(*t), test::deform(flat, test::waves));
     std::vector<float> planes, again;
     GradientField back;
     channels.to_planes(field, planes);
@@ -170,4 +170,4 @@ TEST(ClampStretch, LeavesWhatIsWithinAndMendsTheRest) {
 }
 
 }  // namespace
-}  // namespace pleat::test
+}  // namespace pleat::conversion

@@ -5,11 +5,11 @@
 #include "services/conversion/vertex_features/one_rings.hpp"
 #include "tests/unit/services/conversion/vertex_features/sheets.hpp"
 
-namespace pleat::test {
+namespace pleat::conversion {
 namespace {
 
 TEST(LaneFactor, SolvesAsTheFactorItCopies) {
-  const auto rings = rings_of(sheet(17, 12, 0.1f));
+  const auto rings = test::rings_of(test::sheet(17, 12, 0.1f));
   const auto count = static_cast<Eigen::Index>(rings->vertex_count());
   Eigen::SparseMatrix<double> matrix(count, count);
   std::vector<Eigen::Triplet<double>> entries;
@@ -37,4 +37,4 @@ TEST(LaneFactor, SolvesAsTheFactorItCopies) {
 }
 
 }  // namespace
-}  // namespace pleat::test
+}  // namespace pleat::conversion

@@ -6,12 +6,12 @@
 
 #include "tests/unit/services/conversion/vertex_features/sheets.hpp"
 
-namespace pleat::test {
+namespace pleat::conversion {
 namespace {
 
 TEST(Heading, FollowsTheTurnOfMovedAndWavyCloth) {
-  const Topology t = sheet(9, 9, 0.125f);
-  const Positions wavy = deform(t, waves);
+  const Topology t = test::sheet(9, 9, 0.125f);
+  const Positions wavy = test::deform(t, test::waves);
   const float still = heading(t.rest_positions, wavy, 0);
   EXPECT_NEAR(still, 0, 0.05f);
   float angle = 0;
@@ -24,7 +24,7 @@ TEST(Heading, FollowsTheTurnOfMovedAndWavyCloth) {
 }
 
 TEST(Heading, KeepsTheLastOneWhereThereIsNone) {
-  const Topology t = sheet(9, 9, 0.125f);
+  const Topology t = test::sheet(9, 9, 0.125f);
   Positions upright(t.rest_positions);
   upright.col(1) = t.rest_positions.col(0);
   upright.col(0).setZero();
@@ -34,10 +34,10 @@ TEST(Heading, KeepsTheLastOneWhereThereIsNone) {
 }
 
 TEST(Heading, Centroid) {
-  const Positions p = sheet(3, 5, 0.1f).rest_positions;
+  const Positions p = test::sheet(3, 5, 0.1f).rest_positions;
   EXPECT_LT((centroid(p) - Eigen::Vector3f(0.1f, 0, 0.2f)).norm(), 1e-6f);
   EXPECT_EQ(centroid(Positions(0, 3)), Eigen::Vector3f::Zero());
 }
 
 }  // namespace
-}  // namespace pleat::test
+}  // namespace pleat::conversion

@@ -11,7 +11,7 @@
 #include "tests/unit/services/conversion/vertex_features/sheets.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
-namespace pleat::test {
+namespace pleat::conversion {
 namespace {
 
 // The definition, in double, without order or packs. Weights are the library's own: they have a test of theirs.
@@ -44,10 +44,10 @@ Eigen::Matrix3d gradient_by_definition(const Topology& t, const OneRings& rings,
 
 TEST(OneRings, GradientsAreTheDefinition) {
   for (const char* name : {"skirt", "four charts"}) {
-    const Topology t = load_garment(name).coarse;
+    const Topology t = test::load_garment(name).coarse;
     const OneRings rings(t, name);
-    const Positions p = wrinkled_frame(t, 0.3f).positions;
-    const GradientField field = gradients_of(rings, p);
+    const Positions p = test::wrinkled_frame(t, 0.3f).positions;
+    const GradientField field = test::gradients_of(rings, p);
     for (std::uint32_t v = 0; v < rings.vertex_count(); v += 7) {
       EXPECT_LT((field.at(v).cast<double>() - gradient_by_definition(t, rings, p, v)).norm(), 2e-5) << name << ' ' << v;
     }
@@ -57,7 +57,7 @@ TEST(OneRings, GradientsAreTheDefinition) {
 TEST(OneRings, WeightsFollowCotangents) {
   // Right triangles with legs of one edge: the diagonal has two right angles opposite, a leg inside two of 45 degrees,
   // and a leg on the boundary half of one.
-  const OneRings rings(sheet(4, 4, 0.1f), "sheet");
+  const OneRings rings(test::sheet(4, 4, 0.1f), "sheet");
   std::set<float> weights;
   for (const auto& e : rings.edges()) weights.insert(std::round(1e4f * e.weight) / 1e4f);
   EXPECT_EQ(weights, (std::set<float>{1.0f, std::round(1e4f * std::sqrt(1.5f)) / 1e4f,
@@ -65,35 +65,37 @@ TEST(OneRings, WeightsFollowCotangents) {
 }
 
 TEST(OneRings, RigidMotionsAndScalesComeBackExactly) {
-  const Topology t = load_garment("skirt").coarse;
+  const Topology t = test::load_garment("skirt").coarse;
   const OneRings rings(t, "skirt");
   const RigidTransform motion = some_motion();
-  const Positions p = moved(Positions(1.5f * t.rest_positions), motion);
-  const GradientField field = gradients_of(rings, p);
+  const Positions p = test::moved(Positions(1.5f * t.rest_positions), motion);
+  const GradientField field = test::gradients_of(rings, p);
   for (std::size_t v = 0; v < rings.vertex_count(); ++v) {
     EXPECT_LT((field.at(v) - 1.5f * motion.rotation).norm(), 1e-4f) << v;
   }
 }
 
 TEST(OneRings, RefusesByName) {
-  Topology alone = sheet(3, 3, 0.1f);
+  Topology alone = test::sheet(3, 3, 0.1f);
   alone.rest_positions.conservativeResize(10, 3);
   alone.rest_positions.row(9) << 5, 5, 5;
-  EXPECT_THAT(error_of([&] { OneRings(alone, "shirt"); }).what(), ::testing::StartsWith("shirt: vertex 9 belongs"));
-  Topology line = sheet(3, 3, 0.1f);
+  EXPECT_THAT(test::error_of([&] { OneRings(alone, "shirt"); }).what(),
+              ::testing::StartsWith("shirt: vertex 9 belongs"));
+  Topology line = test::sheet(3, 3, 0.1f);
   line.rest_positions.col(2).setZero();
-  EXPECT_THAT(error_of([&] { OneRings(line, "shirt"); }).what(), ::testing::StartsWith("shirt: vertex 0 has a coll"));
+  EXPECT_THAT(test::error_of([&] { OneRings(line, "shirt"); }).what(),
+              ::testing::StartsWith("shirt: vertex 0 has a coll"));
 
   std::vector<Float4> to;
-  Positions p = sheet(3, 3, 0.1f).rest_positions;
+  Positions p = test::sheet(3, 3, 0.1f).rest_positions;
   const auto load = [&] { load_positions(p, 9, 0, Eigen::Vector3f::Zero(), "frame", to); };
   for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity(), 1e30f}) {
     p(4, 1) = bad;
-    EXPECT_THAT(error_of(load).what(), ::testing::HasSubstr("position of vertex 4 ")) << bad;
+    EXPECT_THAT(test::error_of(load).what(), ::testing::HasSubstr("position of vertex 4 ")) << bad;
   }
   p.conservativeResize(8, 3);
-  EXPECT_EQ(error_of(load).code(), ErrorCode::kInvalidArgument);
+  EXPECT_EQ(test::error_of(load).code(), ErrorCode::kInvalidArgument);
 }
 
 }  // namespace
-}  // namespace pleat::test
+}  // namespace pleat::conversion

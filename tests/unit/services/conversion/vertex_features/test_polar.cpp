@@ -8,7 +8,7 @@
 
 #include "tests/unit/services/conversion/vertex_features/sheets.hpp"
 
-namespace pleat::test {
+namespace pleat::conversion {
 namespace {
 
 Matrix8 pack(const std::vector<Eigen::Matrix3f>& matrices) {
@@ -104,4 +104,4 @@ TEST(Polar, VectorsOfManyTurns) {
 }
 
 }  // namespace
-}  // namespace pleat::test
+}  // namespace pleat::conversion

@@ -7,7 +7,7 @@
 
 #include "tests/unit/services/conversion/vertex_features/sheets.hpp"
 
-namespace pleat::test {
+namespace pleat::conversion {
 namespace {
 
 ExtractedFrame labels_of(const FeatureExtractor& extractor, const Positions& p,
@@ -20,7 +20,7 @@ ExtractedFrame labels_of(const FeatureExtractor& extractor, const Positions& p,
 
 // The sheet over a curve in x and y: turning at a constant rate between x0 and x1, straight elsewhere.
 Positions bent(const Topology& t, float x0, float x1, float angle, float wrinkle) {
-  return deform(t, [&](const Eigen::Vector3f& p) {
+  return test::deform(t, [&](const Eigen::Vector3f& p) {
     const float radius = (x1 - x0) / angle, a = std::clamp((p.x() - x0) / radius, 0.0f, angle);
     const Eigen::Vector2f direction(std::cos(a), std::sin(a)), normal(-direction.y(), direction.x());
     const Eigen::Vector2f centre(x0, radius);
@@ -32,19 +32,19 @@ Positions bent(const Topology& t, float x0, float x1, float angle, float wrinkle
 }
 
 TEST(RotationLabels, FoldWithWrinklesIsNotTorn) {
-  const Topology t = sheet(65, 65, 1.0f / 64);
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kLogarithm);
+  const Topology t = test::sheet(65, 65, 1.0f / 64);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
   const ExtractedFrame frame = labels_of(extractor, bent(t, 0.45f, 0.55f, kPi, 0.004f));
-  EXPECT_GT(torn_by_principal_logarithms(extractor.rings(), frame), 100u);
+  EXPECT_GT(test::torn_by_principal_logarithms(extractor.rings(), frame), 100u);
   EXPECT_EQ(frame.report.torn_edges, 0u);
   EXPECT_LT(frame.report.largest_jump, 1.0f);
 }
 
 TEST(RotationLabels, ScrollOfManyTurns) {
-  const Topology t = sheet(121, 9, 1.0f / 64);
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kLogarithm);
+  const Topology t = test::sheet(121, 9, 1.0f / 64);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
   const ExtractedFrame frame = labels_of(extractor, bent(t, 0.2f, 1.7f, 3.5f * kPi, 0));
-  EXPECT_GT(torn_by_principal_logarithms(extractor.rings(), frame), 5u);
+  EXPECT_GT(test::torn_by_principal_logarithms(extractor.rings(), frame), 5u);
   EXPECT_EQ(frame.report.torn_edges, 0u);
   float longest = 0;
   for (const Float4& v : frame.labels) longest = std::max(longest, std::hypot(v[0], v[1], v[2]));
@@ -52,8 +52,8 @@ TEST(RotationLabels, ScrollOfManyTurns) {
 }
 
 TEST(RotationLabels, SpinGoesOnPastTwoTurns) {
-  const Topology t = sheet(17, 17, 1.0f / 16);
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kLogarithm);
+  const Topology t = test::sheet(17, 17, 1.0f / 16);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
   ExtractedFrame frame;
   float largest = 0;
   for (int k = 1; k <= 200; ++k) {
@@ -69,13 +69,13 @@ TEST(RotationLabels, SpinGoesOnPastTwoTurns) {
 }
 
 TEST(RotationLabels, QuaternionsFollowATwistedStrip) {
-  const Topology t = sheet(161, 9, 1.0f / 80);
-  const Positions p = deform(t, [](const Eigen::Vector3f& q) {
+  const Topology t = test::sheet(161, 9, 1.0f / 80);
+  const Positions p = test::deform(t, [](const Eigen::Vector3f& q) {
     const Eigen::Matrix3f turn = Eigen::AngleAxisf(2 * kPi * q.x(), Eigen::Vector3f::UnitX()).matrix();
     const Eigen::Vector3f across(0, 0, q.z() - 0.05f);
     return Eigen::Vector3f(Eigen::Vector3f(q.x(), 0, 0) + turn * across);
   });
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kQuaternion);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kQuaternion);
   const ExtractedFrame frame = labels_of(extractor, p);
   EXPECT_EQ(frame.report.torn_edges, 0u);
   EXPECT_LT(frame.report.largest_jump, 0.2f);
@@ -83,8 +83,8 @@ TEST(RotationLabels, QuaternionsFollowATwistedStrip) {
 
 TEST(RotationLabels, TimeDecidesWhatTheMeshLeavesOpen) {
   // A rigid sheet through 1.9 turns about x, one frame at a time, by quaternions: no jump at q = -1.
-  const Topology t = sheet(5, 5, 0.1f);
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kQuaternion);
+  const Topology t = test::sheet(5, 5, 0.1f);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kQuaternion);
   ExtractedFrame frame;
   for (int k = 0; k <= 38; ++k) {
     const Eigen::Matrix3f turn =
@@ -97,8 +97,8 @@ TEST(RotationLabels, TimeDecidesWhatTheMeshLeavesOpen) {
 }
 
 TEST(RotationLabels, RepairsWhatTimeTears) {
-  const Topology t = sheet(65, 9, 1.0f / 64);
-  const FeatureExtractor extractor(rings_of(t), RotationCode::kLogarithm);
+  const Topology t = test::sheet(65, 9, 1.0f / 64);
+  const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
   // From flat to a scroll in one frame: the names nearest to zero are torn, and the mesh mends them.
   const ExtractedFrame flat = labels_of(extractor, t.rest_positions);
   const ExtractedFrame frame = labels_of(extractor, bent(t, 0.1f, 0.9f, 1.8f * kPi, 0), &flat);
@@ -108,7 +108,7 @@ TEST(RotationLabels, RepairsWhatTimeTears) {
 
 TEST(RotationLabels, NoWorseThanEveryChoiceOnASmallMesh) {
   // Quaternions of a tiny mesh: 2^9 choices.
-  const Topology t = sheet(3, 3, 0.1f);
+  const Topology t = test::sheet(3, 3, 0.1f);
   const OneRings rings(t, "sheet");
   const RotationLabels labels(RotationCode::kQuaternion, 9, rings.edges());
   std::mt19937 random(11);
@@ -145,4 +145,4 @@ TEST(RotationLabels, NoWorseThanEveryChoiceOnASmallMesh) {
 }
 
 }  // namespace
-}  // namespace pleat::test
+}  // namespace pleat::conversion

@@ -7,7 +7,7 @@
 
 #include "common/base/error.hpp"
 
-namespace pleat::test {
+namespace pleat::conversion {
 namespace {
 
 StreamState example(RotationCode code) {
@@ -49,4 +49,4 @@ TEST(StreamState, RefusesWhatIsNotItsOwn) {
 }
 
 }  // namespace
-}  // namespace pleat::test
+}  // namespace pleat::conversion

@@ -8,7 +8,7 @@
 #include "tests/support/errors.hpp"
 #include "tests/unit/services/conversion/vertex_features/sheets.hpp"
 
-namespace pleat {
+namespace pleat::conversion {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
@@ -234,4 +234,4 @@ TEST(VertexRepresentation, BadSpecsAreRefused) {
 }
 
 }  // namespace
-}  // namespace pleat
+}  // namespace pleat::conversion

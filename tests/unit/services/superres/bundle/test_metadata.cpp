@@ -18,9 +18,9 @@ Metadata example() {
   Metadata m;
   m.name = "example";
   m.architecture = complete({"mfsr", R"({"blocks": 2, "growth": 4, "upsampling": "subpixel"})"});
-  GeometryImageSpec image;
-  image.layout = ImageLayout::kDetail;
-  image.base = DetailBase::kTexels;
+  conversion::GeometryImageSpec image;
+  image.layout = conversion::ImageLayout::kDetail;
+  image.base = conversion::DetailBase::kTexels;
   image.image.coarse_width = 6, image.image.coarse_height = 5, image.image.scale = 2;
   m.representation.kind = image;
   m.representation.subdivision = {1, SubdivisionRule::kSmooth};
@@ -53,9 +53,9 @@ Error error_of(Change change) {
 TEST(Metadata, RoundTrip) {
   const Metadata m = metadata_from_json(to_json(example()), "x");
   EXPECT_EQ(to_json(m), to_json(example()));
-  const auto& image = std::get<GeometryImageSpec>(m.representation.kind);
-  EXPECT_EQ(image.layout, ImageLayout::kDetail);
-  EXPECT_EQ(image.base, DetailBase::kTexels);
+  const auto& image = std::get<conversion::GeometryImageSpec>(m.representation.kind);
+  EXPECT_EQ(image.layout, conversion::ImageLayout::kDetail);
+  EXPECT_EQ(image.base, conversion::DetailBase::kTexels);
   EXPECT_EQ(image.image.coarse_width, 6);
   EXPECT_EQ(m.representation.subdivision, (SubdivisionSpec{1, SubdivisionRule::kSmooth}));
   EXPECT_EQ(m.input, example().input);
@@ -74,8 +74,8 @@ TEST(Metadata, PortsCountFramesAndConstants) {
 
 TEST(Metadata, VertexFeaturesComeBack) {
   Metadata m = example();
-  VertexFeatureSpec features;
-  features.rotation = RotationCode::kQuaternion;
+  conversion::VertexFeatureSpec features;
+  features.rotation = conversion::RotationCode::kQuaternion;
   features.fixed_axes = true;
   features.passes = 0;
   features.anchor_weight = 0.5;
@@ -84,8 +84,8 @@ TEST(Metadata, VertexFeaturesComeBack) {
   m.architecture = complete({"tokens", "{}"});
   const Metadata back = metadata_from_json(to_json(m), "x");
   EXPECT_EQ(to_json(back), to_json(m));
-  const auto& read = std::get<VertexFeatureSpec>(back.representation.kind);
-  EXPECT_EQ(read.rotation, RotationCode::kQuaternion);
+  const auto& read = std::get<conversion::VertexFeatureSpec>(back.representation.kind);
+  EXPECT_EQ(read.rotation, conversion::RotationCode::kQuaternion);
   EXPECT_TRUE(read.fixed_axes);
   EXPECT_EQ(read.passes, 0);
   EXPECT_EQ(read.anchor_weight, 0.5);

@@ -69,9 +69,9 @@ TEST_F(ReExport, DetailKeepsTheDisplacements) {
 
   Metadata m;
   auto module = load_bundle(new_, m);
-  const auto& image = std::get<GeometryImageSpec>(m.representation.kind);
-  EXPECT_EQ(image.layout, ImageLayout::kDetail);
-  EXPECT_EQ(image.base, DetailBase::kTexels);
+  const auto& image = std::get<conversion::GeometryImageSpec>(m.representation.kind);
+  EXPECT_EQ(image.layout, conversion::ImageLayout::kDetail);
+  EXPECT_EQ(image.base, conversion::DetailBase::kTexels);
   EXPECT_EQ(image.image.coarse_width, 6);
   EXPECT_EQ(m.input.channels(), 17U);
   EXPECT_EQ(m.input.offset[0], -1);
@@ -98,7 +98,7 @@ TEST_F(ReExport, PublishedKeepsItsRanges) {
   re_export(old_, new_);
   Metadata m;
   load_bundle(new_, m);
-  EXPECT_EQ(std::get<GeometryImageSpec>(m.representation.kind).layout, ImageLayout::kPublished);
+  EXPECT_EQ(std::get<conversion::GeometryImageSpec>(m.representation.kind).layout, conversion::ImageLayout::kPublished);
   EXPECT_EQ(m.input, m.output);
   EXPECT_EQ(m.output.offset[8], -1);
   EXPECT_EQ(m.output.scale[8], 4);

@@ -68,16 +68,16 @@ Frame frame_of(const Topology& mesh, std::uint64_t bits, double time) {
 
 torch::Tensor to_torch(const Tensor& t) { return torch::tensor(t.values).view({t.shape[0], t.shape[1], t.shape[2]}); }
 
-class MirrorLayouts : public testing::TestWithParam<ImageLayout> {};
+class MirrorLayouts : public testing::TestWithParam<conversion::ImageLayout> {};
 
 TEST_P(MirrorLayouts, TheMirroredClothHasTheMirroredPair) {
   const Topology coarse = crossed_sheet(8, 6);
-  RepresentationSpec spec;
-  GeometryImageSpec kind;
+  conversion::RepresentationSpec spec;
+  conversion::GeometryImageSpec kind;
   kind.layout = GetParam();
   kind.image.coarse_width = 12, kind.image.coarse_height = 10, kind.image.scale = 2;
   spec.kind = kind, spec.window = 2;
-  const auto representation = make_representation(coarse, spec);
+  const auto representation = conversion::make_representation(coarse, spec);
   PairData data;
   data.representation = spec;
   data.input_channels = representation->input_channels(), data.answer_channels = representation->answer_channels();
@@ -118,7 +118,8 @@ TEST_P(MirrorLayouts, TheMirroredClothHasTheMirroredPair) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(All, MirrorLayouts, testing::Values(ImageLayout::kPublished, ImageLayout::kDetail));
+INSTANTIATE_TEST_SUITE_P(All, MirrorLayouts,
+                         testing::Values(conversion::ImageLayout::kPublished, conversion::ImageLayout::kDetail));
 
 TEST(Mirror, RefusesWhatItDoesNotKnow) {
   PairData data;

@@ -32,7 +32,7 @@ PairData waves(int sequences, int frames) {
   data.frame_time_s = kFrameTime;
   data.input_ranges = data.output_ranges = {std::vector<float>(kChannels, -1), std::vector<float>(kChannels, 2), 0};
   data.input_channels = data.answer_channels = frame_channel_names();
-  GeometryImageSpec spec;
+  conversion::GeometryImageSpec spec;
   spec.image.coarse_width = kWidth, spec.image.coarse_height = kHeight;
   data.representation.kind = spec;
   data.topology_hash = "00000000000000aa";
@@ -344,8 +344,8 @@ TEST_F(TrainerTest, EveryRegisteredNetworkLearns) {
 /// Detail in other axes, with constants, from two frames: what reaches the network, and the losses on vertices.
 TEST_F(TrainerTest, LearnsDetailFromAWindowAndConstants) {
   PairData data = waves(2, 8);
-  GeometryImageSpec spec;
-  spec.layout = ImageLayout::kDetail;
+  conversion::GeometryImageSpec spec;
+  spec.layout = conversion::ImageLayout::kDetail;
   spec.image.coarse_width = kWidth, spec.image.coarse_height = kHeight;
   data.representation.kind = spec, data.representation.window = 2;
   data.input_channels = {"strain_uu", "velocity_normal"};
