@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The rules of the rooms that no compiler checks, over the files that git knows. Prints what breaks them; exit code 1.
 
-Includes against cmake/rooms.txt; namespaces after their room; mains of at most 60 lines; a contract at the head of every header; documents that name
+Includes against cmake/rooms.txt; namespaces after their room; tests after their source; mains of at most 60 lines; a contract at the head of every header; documents that name
 files which are not there; words that a finished program does not have.
 """
 
@@ -109,6 +109,20 @@ def check_namespaces(table):
                 yield f"{path}:{number}: namespace {block[1]}, not {' or '.join(wanted)} of its room"
 
 
+def check_tests():
+    """tests/unit/ROOM/test_NAME.cpp is for ROOM/NAME.{hpp,cpp}; test_NAME_ASPECT.cpp where one file would be too much
+    or needs a program of its own."""
+    for path in tracked("tests/unit/*.cpp"):
+        name = pathlib.PurePath(path)
+        if not name.name.startswith("test_"):
+            continue
+        words = name.stem.split("_")[1:]
+        folder = ROOT / name.parent.relative_to("tests/unit")
+        stems = ["_".join(words[:count]) for count in range(len(words), 0, -1)]
+        if not any((folder / (stem + end)).exists() for stem in stems for end in (".hpp", ".cpp", ".ipp")):
+            yield f"{path}: no source of that name in {folder.relative_to(ROOT)}"
+
+
 def check_mains():
     for path in tracked("services/*.cpp"):
         lines = (ROOT / path).read_text().splitlines()
@@ -185,7 +199,7 @@ def main():
     table = read_table()
     failed = False
     for title, rows in (("includes against " + TABLE, check_includes(table)), ("namespaces", check_namespaces(table)),
-                        ("mains", check_mains()),
+                        ("tests without a source", check_tests()), ("mains", check_mains()),
                         ("headers without a contract", check_contracts()), ("names of files", check_documents()),
                         ("unfinished work", check_unfinished())):
         rows = list(rows)
