@@ -80,7 +80,8 @@ TEST(Coordinates, AmplitudeLaw) {
   for (const int length : {4, 8, 16}) {
     // In the plane and along x, where the law is exact: small, so that gradients are linear in it.
     const auto wave = [&](const Eigen::Vector3f& p) {
-      return Eigen::Vector3f(p.x(), 1e-4f * std::sin(2 * kPi * p.x() / (0.01f * static_cast<float>(length))), p.z());
+      return Eigen::Vector3f(p.x(), 1e-4f * std::sin(2 * test::kPi * p.x() / (0.01f * static_cast<float>(length))),
+                             p.z());
     };
     const Positions p = test::deform(t, wave);
     const CoordinateSolver solver(rings, {{0, 12, 24, 2400, 2412, 2424}, {}, 0.1}, "sheet");
@@ -92,7 +93,7 @@ TEST(Coordinates, AmplitudeLaw) {
         with += static_cast<double>(back(v, 1) * p(v, 1));
         own += static_cast<double>(p(v, 1) * p(v, 1));
       }
-      const double s = std::pow(std::cos(static_cast<double>(kPi) / length), 2);
+      const double s = std::pow(std::cos(static_cast<double>(test::kPi) / length), 2);
       EXPECT_NEAR(with / own, 1 - std::pow(1 - s, passes + 1), 0.03) << length << ' ' << passes;
     }
   }

@@ -67,7 +67,7 @@ TEST(OneRings, WeightsFollowCotangents) {
 TEST(OneRings, RigidMotionsAndScalesComeBackExactly) {
   const Topology t = test::load_garment("skirt").coarse;
   const OneRings rings(t, "skirt");
-  const RigidTransform motion = some_motion();
+  const RigidTransform motion = test::some_motion();
   const Positions p = test::moved(Positions(1.5f * t.rest_positions), motion);
   const GradientField field = test::gradients_of(rings, p);
   for (std::size_t v = 0; v < rings.vertex_count(); ++v) {

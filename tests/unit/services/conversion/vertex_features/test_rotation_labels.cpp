@@ -34,7 +34,7 @@ Positions bent(const Topology& t, float x0, float x1, float angle, float wrinkle
 TEST(RotationLabels, FoldWithWrinklesIsNotTorn) {
   const Topology t = test::sheet(65, 65, 1.0f / 64);
   const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
-  const ExtractedFrame frame = labels_of(extractor, bent(t, 0.45f, 0.55f, kPi, 0.004f));
+  const ExtractedFrame frame = labels_of(extractor, bent(t, 0.45f, 0.55f, test::kPi, 0.004f));
   EXPECT_GT(test::torn_by_principal_logarithms(extractor.rings(), frame), 100u);
   EXPECT_EQ(frame.report.torn_edges, 0u);
   EXPECT_LT(frame.report.largest_jump, 1.0f);
@@ -43,12 +43,12 @@ TEST(RotationLabels, FoldWithWrinklesIsNotTorn) {
 TEST(RotationLabels, ScrollOfManyTurns) {
   const Topology t = test::sheet(121, 9, 1.0f / 64);
   const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
-  const ExtractedFrame frame = labels_of(extractor, bent(t, 0.2f, 1.7f, 3.5f * kPi, 0));
+  const ExtractedFrame frame = labels_of(extractor, bent(t, 0.2f, 1.7f, 3.5f * test::kPi, 0));
   EXPECT_GT(test::torn_by_principal_logarithms(extractor.rings(), frame), 5u);
   EXPECT_EQ(frame.report.torn_edges, 0u);
   float longest = 0;
   for (const Float4& v : frame.labels) longest = std::max(longest, std::hypot(v[0], v[1], v[2]));
-  EXPECT_NEAR(longest, 3.5f * kPi, 0.2f);
+  EXPECT_NEAR(longest, 3.5f * test::kPi, 0.2f);
 }
 
 TEST(RotationLabels, SpinGoesOnPastTwoTurns) {
@@ -58,20 +58,20 @@ TEST(RotationLabels, SpinGoesOnPastTwoTurns) {
   float largest = 0;
   for (int k = 1; k <= 200; ++k) {
     const Eigen::Matrix3f turn =
-        Eigen::AngleAxisf(0.02f * kPi * static_cast<float>(k), Eigen::Vector3f::UnitY()).matrix();
+        Eigen::AngleAxisf(0.02f * test::kPi * static_cast<float>(k), Eigen::Vector3f::UnitY()).matrix();
     // Without wrinkles all axes agree, so that no field of logarithms is torn at whole turns.
     frame = labels_of(extractor, Positions(t.rest_positions * turn.transpose()), k > 1 ? &frame : nullptr);
     EXPECT_EQ(frame.report.torn_edges, 0u);
     if (k > 1) largest = std::max(largest, frame.report.largest_step);
   }
-  EXPECT_NEAR(largest, 0.02f * kPi, 1e-3f);
-  EXPECT_NEAR(frame.labels[100][1], 4 * kPi, 1e-3f);
+  EXPECT_NEAR(largest, 0.02f * test::kPi, 1e-3f);
+  EXPECT_NEAR(frame.labels[100][1], 4 * test::kPi, 1e-3f);
 }
 
 TEST(RotationLabels, QuaternionsFollowATwistedStrip) {
   const Topology t = test::sheet(161, 9, 1.0f / 80);
   const Positions p = test::deform(t, [](const Eigen::Vector3f& q) {
-    const Eigen::Matrix3f turn = Eigen::AngleAxisf(2 * kPi * q.x(), Eigen::Vector3f::UnitX()).matrix();
+    const Eigen::Matrix3f turn = Eigen::AngleAxisf(2 * test::kPi * q.x(), Eigen::Vector3f::UnitX()).matrix();
     const Eigen::Vector3f across(0, 0, q.z() - 0.05f);
     return Eigen::Vector3f(Eigen::Vector3f(q.x(), 0, 0) + turn * across);
   });
@@ -88,12 +88,12 @@ TEST(RotationLabels, TimeDecidesWhatTheMeshLeavesOpen) {
   ExtractedFrame frame;
   for (int k = 0; k <= 38; ++k) {
     const Eigen::Matrix3f turn =
-        Eigen::AngleAxisf(0.1f * kPi * static_cast<float>(k), Eigen::Vector3f::UnitX()).matrix();
+        Eigen::AngleAxisf(0.1f * test::kPi * static_cast<float>(k), Eigen::Vector3f::UnitX()).matrix();
     frame = labels_of(extractor, Positions(t.rest_positions * turn.transpose()), k > 0 ? &frame : nullptr);
     EXPECT_LT(frame.report.largest_step, 0.2f);
   }
   EXPECT_LT(frame.labels[12][0], 0.96f);
-  EXPECT_NEAR(frame.labels[12][0], std::cos(1.9f * kPi), 1e-4f);
+  EXPECT_NEAR(frame.labels[12][0], std::cos(1.9f * test::kPi), 1e-4f);
 }
 
 TEST(RotationLabels, RepairsWhatTimeTears) {
@@ -101,7 +101,7 @@ TEST(RotationLabels, RepairsWhatTimeTears) {
   const FeatureExtractor extractor(test::rings_of(t), RotationCode::kLogarithm);
   // From flat to a scroll in one frame: the names nearest to zero are torn, and the mesh mends them.
   const ExtractedFrame flat = labels_of(extractor, t.rest_positions);
-  const ExtractedFrame frame = labels_of(extractor, bent(t, 0.1f, 0.9f, 1.8f * kPi, 0), &flat);
+  const ExtractedFrame frame = labels_of(extractor, bent(t, 0.1f, 0.9f, 1.8f * test::kPi, 0), &flat);
   EXPECT_GT(frame.report.torn_by_time, 0u);
   EXPECT_EQ(frame.report.torn_edges, 0u);
 }
