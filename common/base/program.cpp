@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/base/bounded_text.hpp"
+#include "common/base/freed_memory.hpp"
 
 namespace pleat {
 namespace {
@@ -75,6 +76,7 @@ std::string command_path(const CLI::App& root) {
 
 int run_program(CLI::App& app, int argc, const char* const* argv, const std::function<int()>& body) {
   const std::string name = app.get_name();
+  keep_freed_memory();
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& success) {

@@ -14,7 +14,7 @@ void print_error(const std::string& name, const std::string& message);
 
 /// Parses the command line and runs `body`, which returns an exit code. A wrong command line and every exception become
 /// one line on stderr and an exit code, with the likely name for a mistyped command or option; --help and --version end
-/// well. `app` has the program's name.
+/// well. Freed memory is kept for the next allocation. `app` has the program's name.
 int run_program(CLI::App& app, int argc, const char* const* argv, const std::function<int()>& body);
 
 /// The deepest subcommand that was reached: "pleat dataset generate".

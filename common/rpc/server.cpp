@@ -24,6 +24,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/exit_codes.hpp"
+#include "common/base/freed_memory.hpp"
 #include "common/base/runtime_folder.hpp"
 #include "common/rpc/frame_bytes.hpp"
 #include "common/rpc/pem.hpp"
@@ -222,6 +223,7 @@ int service_main(const std::string& program, const std::function<int()>& body) {
   const sigset_t signals = stop_signals();
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   std::signal(SIGPIPE, SIG_IGN);
+  keep_freed_memory();
   // gRPC prints failures on stderr that come back as statuses anyway; one line per failure is ours.
   setenv("GRPC_VERBOSITY", "NONE", 0);
   try {

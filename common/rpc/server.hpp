@@ -76,8 +76,9 @@ class Server {
 /// "ready ADDRESS" on stdout when healthy. Returns 0. Call inside service_main only, which blocks the signals in time.
 int run_server(const ServerOptions& options, const std::vector<HostedService>& services, telemetry::Metrics& metrics);
 
-/// The frame of every service's main(): blocks SIGTERM, SIGINT and SIGPIPE before any thread exists, runs the body, and
-/// turns exceptions into one line on stderr and an exit code: 2 for wrong usage or input, 1 otherwise.
+/// The frame of every service's main(): blocks SIGTERM, SIGINT and SIGPIPE before any thread exists, keeps freed memory
+/// for the next frame, runs the body, and turns exceptions into one line on stderr and an exit code: 2 for wrong usage
+/// or input, 1 otherwise.
 int service_main(const std::string& program, const std::function<int()>& body);
 
 }  // namespace pleat::rpc

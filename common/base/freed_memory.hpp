@@ -1,0 +1,11 @@
+// What this process does with memory that it frees.
+#pragma once
+
+namespace pleat {
+
+/// Keeps freed memory for the next allocation instead of giving it back to the system: a frame's arrays are of one size
+/// again and again, and the first touch of a page costs more than filling it (docs/transport.md). At most 64 MiB of
+/// each of the allocator's arenas lie idle. Call before threads start. Does nothing where the allocator isn't glibc's.
+void keep_freed_memory();
+
+}  // namespace pleat
