@@ -32,9 +32,12 @@ void check_tls(const TlsOptions& tls) {
   }
 }
 
+bool is_unix_address(const std::string& address) {
+  return address.starts_with("unix:") || address.starts_with("unix-abstract:");
+}
+
 bool is_local_address(const std::string& address) {
-  const auto starts = [&](const char* prefix) { return address.rfind(prefix, 0) == 0; };
-  if (starts("unix:") || starts("unix-abstract:")) return true;
+  if (is_unix_address(address)) return true;
   const std::string host = address.substr(0, address.rfind(':'));
   if (host == "localhost" || host == "[::1]") return true;
   return host.rfind("127.", 0) == 0 && host.find_first_not_of("0123456789.") == std::string::npos;

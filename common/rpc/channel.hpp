@@ -27,7 +27,10 @@ struct TlsOptions {
 /// where one that is made at that moment aborts the process.
 void keep_grpc();
 
-/// True for `unix:PATH`, `unix-abstract:NAME`, and 127.0.0.0/8, [::1] or localhost with a port.
+/// True for `unix:PATH` and `unix-abstract:NAME`: the peer runs on this host.
+bool is_unix_address(const std::string& address);
+
+/// True for those, and 127.0.0.0/8, [::1] or localhost with a port.
 bool is_local_address(const std::string& address);
 
 /// A channel to `address` ("unix:PATH", "HOST:PORT", "dns:///NAME:PORT"); it connects at the first call. An address

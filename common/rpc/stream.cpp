@@ -9,4 +9,12 @@ std::uint32_t checked_window(std::uint32_t requested) {
   return requested == 0 ? kDefaultWindow : requested;
 }
 
+std::unique_ptr<SharedFrames> accept_shared_frames(grpc::ServerContextBase& context, std::uint32_t window) {
+  const auto offered = context.client_metadata().find(SharedFrames::kKey);
+  if (offered == context.client_metadata().end() || !context.peer().starts_with("unix:")) return nullptr;
+  auto shared = SharedFrames::accept({offered->second.data(), offered->second.size()}, window);
+  if (shared) context.AddInitialMetadata(SharedFrames::kKey, "taken");
+  return shared;
+}
+
 }  // namespace pleat::rpc

@@ -1,7 +1,7 @@
 // Bidirectional frame streams as the wire contract has them: `open` answered by `opened`, then frames, answered in
 // order, each by a frame or a FrameError. All is bounded by the window, and messages are reused, so that a long session
 // does not allocate per frame. As few threads as can be hand a frame to each other: waking one up costs as much as
-// copying a fine mesh.
+// copying a fine mesh. Between processes of one host the frames go through shared memory (shared_frames.hpp).
 #pragma once
 
 #include <grpcpp/grpcpp.h>
@@ -25,6 +25,7 @@
 #include <vector>
 
 #include "common/rpc/end_mark.hpp"
+#include "common/rpc/shared_frames.hpp"
 #include "common/rpc/status.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "common/telemetry/stage_timer.hpp"
@@ -61,6 +62,10 @@ struct FrameServiceOptions {
   std::chrono::milliseconds idle_timeout = kIdleTimeout;      ///< without a frame while none is in work
   std::chrono::milliseconds reader_timeout = kReaderTimeout;  ///< for one answer to be taken
 };
+
+/// The memory that a client on this host offers for its frames, if it does and it can be had; the client is told with
+/// the first answer. To be called before that, with the stream's window.
+std::unique_ptr<SharedFrames> accept_shared_frames(grpc::ServerContextBase& context, std::uint32_t window);
 
 /// A whole handler of a frame stream, to be returned from the service's method.
 ///   open(const OpenMessage&, OpenedMessage*) -> process
@@ -114,6 +119,7 @@ struct FrameStreamOptions {
   std::chrono::milliseconds open_timeout{60'000};    ///< until `opened`
   std::chrono::milliseconds frame_timeout{120'000};  ///< longest wait for an answer while frames are in flight
   bool server_driven = false;                        ///< answers come without requests; the timeout always applies
+  bool same_host = false;                            ///< offers shared memory for the frames; for a Unix socket
 };
 
 /// Client side of a frame stream. One thread may push while another pops; with a single thread use try_push.
@@ -156,6 +162,8 @@ class FrameStream {
   void cancel();
 
   std::uint32_t in_flight() const;
+  /// Whether frames go through shared memory; known after open().
+  bool shares_memory() const;
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -164,9 +172,14 @@ class FrameStream {
 
   bool write(const Request& request, bool counted, bool wait);
   [[noreturn]] void throw_write_failure(Lock& lock);
-  bool read(Lock& lock);
+  void throw_if_ending(Lock& lock);
+  bool read(Lock& lock, Response* response);
+  bool read_call(Lock& lock, Response* response);
+  bool read_shared(Lock& lock, Response* response);
+  Error undecodable_answer() const;
   template <typename Done>
-  bool wait_for_peer(Lock& lock, std::condition_variable& changed, Clock::time_point since, Done done);
+  bool wait_for_peer(Lock& lock, std::condition_variable& changed, Clock::time_point since, Done done,
+                     const SharedFrames* bell = nullptr);
   void take_status(Lock& lock);
   void fail(Lock& lock, const Error& error);
   void throw_if_ended_badly() const;
@@ -183,4 +196,5 @@ class FrameStream {
 
 }  // namespace pleat::rpc
 
-#include "common/rpc/stream.ipp"
+#include "common/rpc/frame_stream.ipp"
+#include "common/rpc/served_stream.ipp"

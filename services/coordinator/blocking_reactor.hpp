@@ -12,6 +12,8 @@
 #include <mutex>
 
 #include "common/rpc/end_mark.hpp"
+#include "common/rpc/shared_frames.hpp"
+#include "common/rpc/stream.hpp"
 
 namespace pleat::coordinator {
 
@@ -39,6 +41,8 @@ class BlockingWrites : public Base {
   bool write(const Response& response, Duration timeout) {
     std::unique_lock lock(mutex_);
     if (gone_) return false;
+    if (sharing_ && shared_->send(response)) return true;
+    sharing_ = shared_ != nullptr;
     writing_ = true;
     lock.unlock();
     this->StartWrite(&response);
@@ -65,11 +69,18 @@ class BlockingWrites : public Base {
     return gone_;
   }
 
+  /// What follows the next write goes through shared memory, both ways, if the client offers it for this window.
+  void share_memory(std::uint32_t window) {
+    auto shared = rpc::accept_shared_frames(*context_, window);
+    const std::lock_guard lock(mutex_);
+    shared_ = std::move(shared);
+  }
+
   /// Nothing waits for the client any more. From any thread.
   void interrupt() {
     const std::lock_guard lock(mutex_);
     interrupted_ = true;
-    changed_.notify_all();
+    notify();
   }
 
   /// Ends the stream; last call, when nobody writes any more. Waits a moment until nothing of it is left.
@@ -93,8 +104,16 @@ class BlockingWrites : public Base {
     return kept;
   }
 
+  /// With the lock.
+  void notify() {
+    changed_.notify_all();
+    if (shared_) shared_->ring();
+  }
+
   mutable std::mutex mutex_;
   std::condition_variable changed_;
+  std::unique_ptr<rpc::SharedFrames> shared_;
+  bool sharing_ = false;
   bool interrupted_ = false, timed_out_ = false;
 
  private:
@@ -107,7 +126,7 @@ class BlockingWrites : public Base {
   void OnCancel() override {
     std::unique_lock lock(mutex_);
     gone_ = true;
-    changed_.notify_all();
+    notify();
     const auto call = on_gone_;
     lock.unlock();
     if (call) call();
@@ -153,6 +172,7 @@ class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Requ
   const Request* read(Duration timeout) {
     std::unique_lock lock(this->mutex_);
     if (this->interrupted_ || ended_) return nullptr;
+    if (this->sharing_) return read_shared(lock, timeout);
     reading_ = true;
     rpc::set_end_mark(&request_);
     lock.unlock();
@@ -173,6 +193,26 @@ class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Requ
  private:
   explicit BlockingReactor(grpc::CallbackServerContext* context)
       : BlockingWrites<grpc::ServerBidiReactor<Request, Response>, Response>(context) {}
+
+  const Request* read_shared(std::unique_lock<std::mutex>& lock, Duration timeout) {
+    const auto deadline = std::chrono::steady_clock::now() + timeout;
+    while (true) {
+      const std::uint32_t rings = this->shared_->rings();
+      const bool closed = this->shared_->closed();
+      if (this->interrupted_) return nullptr;
+      if (this->shared_->available()) break;
+      this->timed_out_ = std::chrono::steady_clock::now() >= deadline;
+      if (closed || this->timed_out_) return nullptr;
+      lock.unlock();
+      this->shared_->wait(rings, deadline);
+      lock.lock();
+    }
+    lock.unlock();
+    const bool parsed = this->shared_->receive(&request_);
+    lock.lock();
+    undecodable_ = ended_ = !parsed;
+    return parsed ? &request_ : nullptr;
+  }
 
   void OnReadDone(bool ok) override {
     const std::lock_guard lock(this->mutex_);

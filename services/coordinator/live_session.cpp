@@ -155,6 +155,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     opened.set_precision(session.model.precision());
     opened.set_window(window_);
     opened.set_detail(session.detail);
+    reactor_->share_memory(window_);
     reactor_->write(response, milliseconds(owner_.settings_.reader_timeout_s));
   }
 

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/rpc/channel.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
 #include "common/telemetry/metrics.hpp"
@@ -229,7 +230,8 @@ class RemoteStage final : public Stage {
                     {.peer = peer(r),
                      .window = options_.window,
                      .open_timeout = options_.link.open_timeout,
-                     .frame_timeout = options_.link.answer_timeout});
+                     .frame_timeout = options_.link.answer_timeout,
+                     .same_host = rpc::is_unix_address(address(r))});
       const Registration registration(*this, r, stream);
       const auto opened = stream.open(options_.open);
       const auto since = Clock::now();

@@ -2,8 +2,10 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <map>
 #include <random>
 #include <span>
+#include <string>
 #include <thread>
 
 #include "common/base/scratch_folder.hpp"
@@ -90,9 +92,10 @@ double frames_per_second(const client::Client& client, const BenchOptions& optio
   }
 }
 
-/// What a live session with one frame in flight takes, and what of it is no stage's.
+/// What a live session with one frame in flight takes, what of it each stage, and what is no stage's.
 struct Latency {
   std::vector<double> ms, transport_share;
+  std::map<std::string, std::vector<double>> stage_ms;
 };
 
 Latency live_latency(const client::Client& client, const simulation::Scene& scene,
@@ -117,10 +120,13 @@ Latency live_latency(const client::Client& client, const simulation::Scene& scen
       [&](const client::EnhancedFrame& frame, const client::CoarseFrame&) {
         const double ms = std::chrono::duration<double, std::milli>(Clock::now() - sent).count();
         if (frame.error) throw *frame.error;
-        double stages = 0;
-        for (const client::StageTime& time : frame.stage_times)
-          if (time.stage.find('.') == std::string::npos) stages += time.ms;
         if (frame.index < kWarmUp) return;
+        double stages = 0;
+        for (const client::StageTime& time : frame.stage_times) {
+          if (time.stage.find('.') != std::string::npos) continue;
+          stages += time.ms;
+          latency.stage_ms[time.stage].push_back(time.ms);
+        }
         latency.ms.push_back(ms);
         latency.transport_share.push_back(1 - stages / ms);
       });
@@ -184,6 +190,8 @@ Figures bench_pipeline(const BenchOptions& options) {
     figures.push_back({prefix + "frames_per_s", {rate, 1, "1/s"}});
     figures.push_back({prefix + "latency", {median(latency.ms), latency.ms.size(), "ms"}});
     figures.push_back({prefix + "transport_share", {median(latency.transport_share), latency.ms.size(), "1"}});
+    for (const auto& [stage, ms] : latency.stage_ms)
+      figures.push_back({prefix + "latency/" + stage, {median(ms), ms.size(), "ms"}});
   }
   launcher.stop();
   return figures;

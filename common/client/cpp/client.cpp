@@ -211,6 +211,7 @@ EnhanceSession Client::enhance(const EnhanceOptions& options) const {
   rpc::FrameStreamOptions stream;
   stream.peer = state_->peer;
   stream.window = open->window();
+  stream.same_host = rpc::is_unix_address(state_->address);
   session->stream = std::make_unique<EnhanceSession::State::Stream>(
       [stub = state_->stub](auto* context, auto* call) { stub->async()->Enhance(context, call); }, stream);
   const v1::EnhanceOpened opened = session->stream->open(request);

@@ -21,7 +21,7 @@ ServerOptions local_options(const std::string& name) {
   return options;
 }
 
-class Stream : public ::testing::Test {
+class StreamBase : public ::testing::Test {
  protected:
   void serve(std::size_t concurrency = 1) {
     service = std::make_unique<SampleRefinement>(&metrics, concurrency);
@@ -35,6 +35,7 @@ class Stream : public ::testing::Test {
     options.peer = "refinement at here";
     options.window = window;
     options.frame_timeout = timeout;
+    options.same_host = same_host;
     return std::make_unique<RefineStream>([&](auto* context, auto* call) { stub->async()->Refine(context, call); },
                                           options);
   }
@@ -68,6 +69,7 @@ class Stream : public ::testing::Test {
     EXPECT_EQ(service->sessions_, 0);
   }
 
+  bool same_host = false;  ///< frames in shared memory, or in the call
   telemetry::Metrics metrics{"refinement"};
   std::unique_ptr<SampleRefinement> service;
   SampleSimulation simulation;
@@ -75,13 +77,26 @@ class Stream : public ::testing::Test {
   std::unique_ptr<v1::Refinement::Stub> stub;
 };
 
-class StreamOrder : public Stream, public ::testing::WithParamInterface<std::pair<std::uint32_t, std::size_t>> {};
+/// Everything that a stream promises holds with the frames in shared memory and in the call.
+class Stream : public StreamBase, public ::testing::WithParamInterface<bool> {
+ protected:
+  Stream() { same_host = GetParam(); }
+};
+
+INSTANTIATE_TEST_SUITE_P(Frames, Stream, ::testing::Bool(),
+                         [](const auto& test) { return test.param ? "InSharedMemory" : "InTheCall"; });
+
+class StreamOrder : public StreamBase,
+                    public ::testing::WithParamInterface<std::tuple<std::pair<std::uint32_t, std::size_t>, bool>> {};
 
 TEST_P(StreamOrder, AnswersComeInOrderEachOnce) {
-  const auto [window, concurrency] = GetParam();
+  const auto [sizes, shared] = GetParam();
+  const auto [window, concurrency] = sizes;
+  same_host = shared;
   serve(concurrency);
   auto stream = start(window);
   EXPECT_EQ(stream->open(open_request(window)).fine_hash(), "fine of mesh");
+  EXPECT_EQ(stream->shares_memory(), shared);
   constexpr std::uint64_t kFrames = 200;
   std::thread producer([&] {
     for (std::uint64_t k = 0; k < kFrames; ++k) stream->push(frame_request(k, static_cast<int>(k % 50)));
@@ -105,11 +120,13 @@ TEST_P(StreamOrder, AnswersComeInOrderEachOnce) {
   expect_no_sessions();
 }
 
-INSTANTIATE_TEST_SUITE_P(Windows, StreamOrder,
-                         ::testing::Values(std::pair{1u, std::size_t{1}}, std::pair{4u, std::size_t{1}},
-                                           std::pair{16u, std::size_t{4}}, std::pair{64u, std::size_t{8}}));
+INSTANTIATE_TEST_SUITE_P(
+    Windows, StreamOrder,
+    ::testing::Combine(::testing::Values(std::pair{1u, std::size_t{1}}, std::pair{4u, std::size_t{1}},
+                                         std::pair{16u, std::size_t{4}}, std::pair{64u, std::size_t{8}}),
+                       ::testing::Bool()));
 
-TEST_F(Stream, TryPushRefusesWhenTheWindowIsFull) {
+TEST_P(Stream, TryPushRefusesWhenTheWindowIsFull) {
   serve();
   auto stream = start(3);
   stream->open(open_request(3));
@@ -123,7 +140,7 @@ TEST_F(Stream, TryPushRefusesWhenTheWindowIsFull) {
   EXPECT_TRUE(stream->try_push(frame_request(3)));
 }
 
-TEST_F(Stream, AFrameThatFailsKeepsTheStream) {
+TEST_P(Stream, AFrameThatFailsKeepsTheStream) {
   serve();
   auto stream = start();
   stream->open(open_request(4));
@@ -144,7 +161,7 @@ TEST_F(Stream, AFrameThatFailsKeepsTheStream) {
   EXPECT_FALSE(stream->pop(&response));
 }
 
-TEST_F(Stream, OpenErrorsEndTheStreamWithTheirCause) {
+TEST_P(Stream, OpenErrorsEndTheStreamWithTheirCause) {
   serve();
   EXPECT_EQ(code_of([&] { start()->open(open_request(4, "bad")); }, "open.coarse: bad"), ErrorCode::kInvalidArgument);
   EXPECT_EQ(code_of([&] { start()->open(open_request(65)); }, "window"), ErrorCode::kInvalidArgument);
@@ -152,7 +169,7 @@ TEST_F(Stream, OpenErrorsEndTheStreamWithTheirCause) {
   expect_no_sessions();
 }
 
-TEST_F(Stream, ASecondOpenIsRefusedAfterTheFramesBefore) {
+TEST_P(Stream, ASecondOpenIsRefusedAfterTheFramesBefore) {
   serve();
   auto stream = start();
   stream->open(open_request(4));
@@ -165,7 +182,7 @@ TEST_F(Stream, ASecondOpenIsRefusedAfterTheFramesBefore) {
   EXPECT_EQ(code_of([&] { stream->push(frame_request(1)); }, "only frames"), ErrorCode::kInvalidArgument);
 }
 
-TEST_F(Stream, TooLargeMessagesAreRefused) {
+TEST_P(Stream, TooLargeMessagesAreRefused) {
   serve();
   auto stream = start();
   stream->open(open_request(4));
@@ -183,7 +200,7 @@ TEST_F(Stream, TooLargeMessagesAreRefused) {
   EXPECT_TRUE(other->pop(&response)) << "the service goes on serving";
 }
 
-TEST_F(Stream, TheWatchdogEndsAStuckStream) {
+TEST_P(Stream, TheWatchdogEndsAStuckStream) {
   serve();
   auto stream = start(4, 150ms);
   stream->open(open_request(4));
@@ -194,7 +211,7 @@ TEST_F(Stream, TheWatchdogEndsAStuckStream) {
   expect_no_sessions();
 }
 
-TEST_F(Stream, AClientThatSaysNothingIsCutOff) {
+TEST_P(Stream, AClientThatSaysNothingIsCutOff) {
   serve();
   service->idle_timeout_ = 100ms;
   const auto expect_cut_off = [&](RefineStream& stream) {
@@ -211,7 +228,7 @@ TEST_F(Stream, AClientThatSaysNothingIsCutOff) {
   expect_cut_off(*stream);
 }
 
-TEST_F(Stream, AFrameThatTakesLongIsNoSilence) {
+TEST_P(Stream, AFrameThatTakesLongIsNoSilence) {
   serve();
   service->idle_timeout_ = 50ms;
   auto stream = start(4, 500ms);
@@ -221,7 +238,7 @@ TEST_F(Stream, AFrameThatTakesLongIsNoSilence) {
   EXPECT_EQ(code_of([&] { stream->pop(&response); }, "no answer within 500 ms"), ErrorCode::kDeadlineExceeded);
 }
 
-TEST_F(Stream, AClientThatDoesNotReadIsCutOff) {
+TEST_P(Stream, AClientThatDoesNotReadIsCutOff) {
   serve();
   service->reader_timeout_ = 200ms;
   auto stream = start(16);
@@ -234,7 +251,7 @@ TEST_F(Stream, AClientThatDoesNotReadIsCutOff) {
   expect_no_sessions();
 }
 
-TEST_F(Stream, BytesThatAreNoMessageEndTheStreamWithTheirCause) {
+TEST_P(Stream, BytesThatAreNoMessageEndTheStreamWithTheirCause) {
   serve();
   const auto channel = create_channel(server->address());
   v1::RefineOpen refine_open;
@@ -253,7 +270,7 @@ TEST_F(Stream, BytesThatAreNoMessageEndTheStreamWithTheirCause) {
   expect_no_sessions();
 }
 
-TEST_F(Stream, CancelFreesBothSides) {
+TEST_P(Stream, CancelFreesBothSides) {
   serve();
   auto stream = start();
   stream->open(open_request(4));
@@ -268,7 +285,7 @@ TEST_F(Stream, CancelFreesBothSides) {
   expect_no_sessions();
 }
 
-TEST_F(Stream, AClientThatDisappearsFreesTheSession) {
+TEST_P(Stream, AClientThatDisappearsFreesTheSession) {
   serve();
   {
     auto stream = start();
@@ -279,7 +296,7 @@ TEST_F(Stream, AClientThatDisappearsFreesTheSession) {
   expect_no_sessions();
 }
 
-TEST_F(Stream, AServerThatStopsIsUnavailable) {
+TEST_P(Stream, AServerThatStopsIsUnavailable) {
   serve();
   auto stream = start();
   stream->open(open_request(4));
@@ -290,7 +307,7 @@ TEST_F(Stream, AServerThatStopsIsUnavailable) {
   EXPECT_EQ(code_of([&] { start()->open(open_request(4)); }, "refinement at here"), ErrorCode::kUnavailable);
 }
 
-TEST_F(Stream, TheClientPacesAServerThatDrives) {
+TEST_P(Stream, TheClientPacesAServerThatDrives) {
   serve();
   const auto simulation_stub = v1::Simulation::NewStub(create_channel(server->address()));
   FrameStreamOptions options;

@@ -1,4 +1,4 @@
-// Implementation of stream.hpp's templates.
+// Implementation of stream.hpp's templates: the server's side.
 #pragma once
 
 namespace pleat::rpc {
@@ -88,6 +88,12 @@ class ClientWatch {
   ClientWatch(const ClientWatch&) = delete;
   ClientWatch& operator=(const ClientWatch&) = delete;
 
+  /// From now on the client also has to take what it is sent through shared memory: something within each `limit`.
+  void expect_taking(const SharedFrames& shared, std::chrono::milliseconds limit) {
+    const std::lock_guard lock(mutex_);
+    shared_ = &shared;
+    taking_limit_ = limit;
+  }
   void expect_within(std::chrono::milliseconds limit) { deadline_ = (Clock::now() + limit).time_since_epoch().count(); }
   void expect_nothing() { deadline_ = kNever; }
   bool timed_out() const { return timed_out_; }
@@ -99,21 +105,68 @@ class ClientWatch {
   void run() {
     std::unique_lock lock(mutex_);
     while (!changed_.wait_for(lock, step_, [this] { return over_; })) {
-      if (Clock::now().time_since_epoch().count() < deadline_) continue;
+      if (Clock::now().time_since_epoch().count() < deadline_ && is_taking()) continue;
       timed_out_ = true;
       context_->TryCancel();
       return;
     }
   }
 
+  bool is_taking() {
+    if (shared_ == nullptr) return true;
+    const auto now = Clock::now();
+    if (shared_->on_their_way() == 0 || shared_->taken() != taken_) taken_since_ = now;
+    taken_ = shared_->taken();
+    return now - taken_since_ < taking_limit_;
+  }
+
   grpc::ServerContext* const context_;
   const std::chrono::milliseconds step_;
+  const SharedFrames* shared_ = nullptr;
+  std::chrono::milliseconds taking_limit_{};
+  std::uint32_t taken_ = 0;  ///< by the client, since then nothing
+  Clock::time_point taken_since_{};
   std::atomic<Clock::rep> deadline_{kNever};
   std::atomic<bool> timed_out_{false};
   std::mutex mutex_;
   std::condition_variable changed_;
   bool over_ = false;
   std::thread thread_;
+};
+
+/// The frames and answers of one served stream: in the call, or in memory shared with the client.
+template <typename Request, typename Response>
+class ServedMessages {
+ public:
+  using Stream = grpc::ServerReaderWriter<Response, Request>;
+
+  /// shared: null for the call.
+  ServedMessages(grpc::ServerContext* context, Stream* stream, SharedFrames* shared)
+      : context_(context), stream_(stream), shared_(shared) {}
+
+  bool wait_in_memory() const { return shared_ != nullptr; }
+  /// As gRPC's: false if the client sends nothing more, or has gone, or sent what is no message.
+  bool read(Request* request) {
+    if (shared_ == nullptr) return stream_->Read(request);
+    // That the client has gone is known to gRPC, which tells who asks.
+    constexpr std::chrono::milliseconds kLook{100};
+    while (true) {
+      const std::uint32_t rings = shared_->rings();
+      const bool closed = shared_->closed();
+      if (shared_->available()) return shared_->receive(request);
+      if (closed) return false;
+      if (!shared_->wait(rings, std::chrono::steady_clock::now() + kLook) && context_->IsCancelled()) return false;
+    }
+  }
+  bool write(const Response& response) {
+    // What the memory does not hold is for gRPC to refuse.
+    return (shared_ != nullptr && shared_->send(response)) || stream_->Write(response);
+  }
+
+ private:
+  grpc::ServerContext* const context_;
+  Stream* const stream_;
+  SharedFrames* const shared_;
 };
 
 class SessionCount {
@@ -131,18 +184,18 @@ class SessionCount {
   telemetry::Metrics* metrics_;
 };
 
-/// One served stream: concurrency + 1 threads alike, of which one reads while the others process and write. Who has
-/// read a frame processes and answers it, and another takes over the reading; a frame that comes alone waits for no
-/// thread to wake up.
+/// One served stream: one thread more than frames at a time (concurrency), all alike, of which one reads while the
+/// others process and write. Who has read a frame processes and answers it, and another takes over the reading; a frame
+/// that comes alone waits for no thread to wake up.
 template <typename Request, typename Response, typename Process>
 class ServedStream {
  public:
-  using Stream = grpc::ServerReaderWriter<Response, Request>;
+  using Messages = ServedMessages<Request, Response>;
 
-  ServedStream(grpc::ServerContext* context, Stream* stream, const FrameServiceOptions& options, std::uint32_t window,
-               const Process& process, ClientWatch& watch)
+  ServedStream(grpc::ServerContext* context, Messages messages, const FrameServiceOptions& options,
+               std::uint32_t window, const Process& process, ClientWatch& watch)
       : context_(context),
-        stream_(stream),
+        messages_(messages),
         options_(options),
         concurrency_(std::max<std::size_t>(1, options.concurrency)),
         process_(process),
@@ -159,7 +212,9 @@ class ServedStream {
       changed_.notify_all();
       context_->TryCancel();  // a reader that waits for the client ends at once
     });
-    for (std::size_t i = 0; i < concurrency_; ++i) threads.start([this] { work(); });
+    // Shared memory holds the frames that wait: nobody has to read ahead.
+    const std::size_t others = messages_.wait_in_memory() ? concurrency_ - 1 : concurrency_;
+    for (std::size_t i = 0; i < others; ++i) threads.start([this] { work(); });
     work();
     threads.join_at_ease();  // all end when the last frame is answered, or when one finds that the client has gone
     if (watch_.timed_out()) return {grpc::StatusCode::DEADLINE_EXCEEDED, "the client was silent, or did not read"};
@@ -214,7 +269,7 @@ class ServedStream {
     reading_ = true;
     outside(lock, [&] {
       set_end_mark(&slot->request);
-      read = stream_->Read(&slot->request);
+      read = messages_.read(&slot->request);
     });
     reading_ = false;
     const bool frame = read && slot->request.has_frame();
@@ -244,7 +299,7 @@ class ServedStream {
     watch_.expect_within(options_.reader_timeout);
     bool written = false;
     writing_ = true;
-    outside(lock, [&] { written = stream_->Write(slot->response); });
+    outside(lock, [&] { written = messages_.write(slot->response); });
     writing_ = false;
     if (!written) {
       broken_ = true;
@@ -259,7 +314,7 @@ class ServedStream {
   }
 
   grpc::ServerContext* const context_;
-  Stream* const stream_;
+  Messages messages_;
   const FrameServiceOptions& options_;
   const std::size_t concurrency_;
   const Process& process_;
@@ -283,6 +338,7 @@ template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
                           const FrameServiceOptions& options, Open&& open) {
   return guard([&]() -> grpc::Status {
+    std::unique_ptr<SharedFrames> shared;
     detail::ClientWatch watch(context, std::min(options.idle_timeout, options.reader_timeout) / 4);
     watch.expect_within(options.idle_timeout);
     Request first;
@@ -298,12 +354,15 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
     Response opened;
     const auto process = open(first.open(), opened.mutable_opened());
     first.Clear();
+    shared = accept_shared_frames(*context, window);
+    if (shared != nullptr) watch.expect_taking(*shared, options.reader_timeout);
     watch.expect_within(options.reader_timeout);
     if (!stream->Write(opened)) return grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
     watch.expect_within(options.idle_timeout);
 
-    return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(context, stream, options, window,
-                                                                                    process, watch)
+    using Messages = detail::ServedMessages<Request, Response>;
+    return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(
+               context, Messages(context, stream, shared.get()), options, window, process, watch)
         .run();
   });
 }
@@ -369,294 +428,6 @@ void PacedWriter<Request, Response>::close() {
 template <typename Request, typename Response>
 void PacedWriter<Request, Response>::throw_if_broken() const {
   if (broken_) throw_invalid_argument("after `open` only acknowledgements may follow");
-}
-
-/// The call as gRPC sees it. It keeps itself alive until gRPC is done with it.
-template <typename Request, typename Response>
-class FrameStream<Request, Response>::Call final : public Reactor {
- public:
-  static std::shared_ptr<Call> start(const Starter& start) {
-    auto call = std::make_shared<Call>();
-    call->self_ = call;
-    start(&call->context_, call.get());
-    call->AddHold();
-    call->StartCall();
-    return call;
-  }
-
-  /// All with the lock, which they give up while gRPC works. gRPC serialises a request before StartWrite returns, and
-  /// an answer comes into `response`: an abandoned call touches nothing of its user's.
-  void start_read(Lock& lock) {
-    reading = true;
-    set_end_mark(&response);
-    outside(lock, [&] { this->StartRead(&response); });
-  }
-  void start_write(Lock& lock, const Request& request) {
-    writing = true;
-    outside(lock, [&] { this->StartWrite(&request); });
-  }
-  void start_writes_done(Lock& lock) {
-    outside(lock, [&] { this->StartWritesDone(); });
-  }
-  /// Nothing more is started: OnDone may come.
-  void release(Lock& lock) {
-    released_ = true;
-    remove_hold(lock);
-  }
-  bool released() const { return released_; }
-  void cancel() { context_.TryCancel(); }
-
-  /// The stream has ended, or more than one thread waits for what has changed.
-  void notify_all() {
-    changed.notify_all();
-    may_write.notify_all();
-  }
-
-  mutable std::mutex mutex;
-  std::condition_variable changed;    ///< an answer, the status, or the end
-  std::condition_variable may_write;  ///< a write is through, the window has room, or the end
-  Response response;
-  bool reading = false, writing = false;  ///< asked for, and not there yet
-  bool read_ok = true, write_ok = true, undecodable = false;
-  std::optional<grpc::Status> status;
-
- private:
-  template <typename Action>
-  void outside(Lock& lock, Action action) {
-    ++starting_;
-    lock.unlock();
-    action();
-    lock.lock();
-    --starting_;
-    remove_hold(lock);
-  }
-  void remove_hold(Lock& lock) {
-    if (!released_ || starting_ > 0 || hold_removed_) return;
-    hold_removed_ = true;
-    lock.unlock();
-    this->RemoveHold();
-    lock.lock();
-  }
-
-  void OnReadDone(bool ok) override {
-    const std::lock_guard lock(mutex);
-    reading = false;
-    read_ok = ok;
-    undecodable = !ok && !has_end_mark(response);
-    changed.notify_all();
-  }
-  void OnWriteDone(bool ok) override {
-    const std::lock_guard lock(mutex);
-    writing = false;
-    write_ok = write_ok && ok;
-    may_write.notify_all();
-  }
-  void OnDone(const grpc::Status& final_status) override {
-    const std::shared_ptr<Call> last = std::move(self_);
-    const std::lock_guard lock(mutex);
-    status = final_status;
-    notify_all();
-  }
-
-  grpc::ClientContext context_;
-  int starting_ = 0;
-  bool released_ = false, hold_removed_ = false;
-  std::shared_ptr<Call> self_;
-};
-
-template <typename Request, typename Response>
-FrameStream<Request, Response>::FrameStream(const Starter& start, FrameStreamOptions options)
-    : options_(std::move(options)), call_(Call::start(start)) {}
-
-template <typename Request, typename Response>
-FrameStream<Request, Response>::~FrameStream() {
-  // What the peer can end at once has ended when we are gone; a peer that hangs is not waited for.
-  constexpr std::chrono::milliseconds kLastWait{200};
-  Lock lock(call_->mutex);
-  if (!ended_) fail(lock, Error(ErrorCode::kCancelled, options_.peer + ": cancelled"));
-  call_->changed.wait_for(lock, kLastWait, [&] { return call_->status.has_value(); });
-}
-
-template <typename Request, typename Response>
-auto FrameStream<Request, Response>::open(const Request& request) {
-  write(request, false, false);
-  Response response;
-  if (!pop(&response)) throw Error(ErrorCode::kUnavailable, options_.peer + " closed the stream before `opened`");
-  if (!response.has_opened()) {
-    cancel();
-    throw_internal(options_.peer + " sent a frame before `opened`");
-  }
-  const std::lock_guard lock(call_->mutex);
-  opened_ = true;
-  return response.opened();
-}
-
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::push(const Request& request) {
-  write(request, true, true);
-}
-
-template <typename Request, typename Response>
-bool FrameStream<Request, Response>::try_push(const Request& request) {
-  return write(request, true, false);
-}
-
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::send(const Request& request) {
-  write(request, false, false);
-}
-
-/// Starts the write. gRPC has a copy of the request by then, so that only the next write waits until this one is
-/// through.
-template <typename Request, typename Response>
-bool FrameStream<Request, Response>::write(const Request& request, bool counted, bool wait) {
-  const std::lock_guard write_lock(write_mutex_);
-  Lock lock(call_->mutex);
-  if (counted) {
-    const auto has_room = [&] { return ended_ || in_flight_ < options_.window; };
-    if (wait) call_->may_write.wait(lock, has_room);
-    if (!has_room()) return false;
-  }
-  wait_for_peer(lock, call_->may_write, write_since_, [&] { return !call_->writing; });
-  // A call that is ending tells its cause with its end.
-  if (call_->released()) call_->changed.wait(lock, [&] { return ended_; });
-  throw_if_ended_badly();
-  if (!call_->write_ok) throw_write_failure(lock);
-  if (ended_ || closed_) throw Error(ErrorCode::kFailedPrecondition, options_.peer + ": the stream is closed");
-  if (counted) ++in_flight_;
-  write_since_ = last_sign_ = Clock::now();
-  call_->start_write(lock, request);
-  return true;
-}
-
-/// The cause of a write that failed comes with the status, and that only after reading has ended: here, unless another
-/// thread reads.
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::throw_write_failure(Lock& lock) {
-  while (!ended_) {
-    if (reading_) {
-      call_->changed.wait(lock, [&] { return ended_ || !reading_; });
-    } else if (!read(lock)) {
-      take_status(lock);
-    }
-  }
-  throw_if_ended_badly();
-  throw Error(ErrorCode::kUnavailable, options_.peer + " ended the stream");
-}
-
-template <typename Request, typename Response>
-bool FrameStream<Request, Response>::pop(Response* response) {
-  Lock lock(call_->mutex);
-  // A writer that failed may be taking the status: one reader at a time.
-  call_->changed.wait(lock, [&] { return ended_ || !reading_; });
-  if (!ended_) {
-    if (read(lock)) {
-      response->Swap(&call_->response);
-      if (in_flight_ > 0 && opened_) --in_flight_;
-      call_->may_write.notify_all();
-      return true;
-    }
-    take_status(lock);
-  }
-  throw_if_ended_badly();
-  return false;
-}
-
-/// One answer into the call's response. False: none will come. With the lock, and no other reader.
-template <typename Request, typename Response>
-bool FrameStream<Request, Response>::read(Lock& lock) {
-  reading_ = true;
-  call_->start_read(lock);
-  const bool done = wait_for_peer(lock, call_->changed, Clock::now(), [&] { return !call_->reading; });
-  reading_ = false;
-  if (done && !ended_ && call_->read_ok) last_sign_ = Clock::now();
-  if (done && call_->undecodable) {
-    fail(lock, Error(ErrorCode::kInternal, options_.peer + " sent bytes that are no message of this stream"));
-  }
-  call_->changed.notify_all();
-  return done && !ended_ && call_->read_ok;
-}
-
-/// Waits until `done`, or until the stream has ended, which it does when the peer is silent for the time-out: since
-/// `since`, and since the last answer. Between frames nothing is expected. True: done.
-template <typename Request, typename Response>
-template <typename Done>
-bool FrameStream<Request, Response>::wait_for_peer(Lock& lock, std::condition_variable& changed,
-                                                   Clock::time_point since, Done done) {
-  const auto over = [&] { return ended_ || done(); };
-  while (!over()) {
-    const bool expected = !opened_ || call_->writing || in_flight_ > 0 || options_.server_driven;
-    const auto timeout = opened_ ? options_.frame_timeout : options_.open_timeout;
-    const auto now = Clock::now();
-    // What is asked for from now on has the whole time-out: it is early enough to look again then.
-    const auto deadline = expected ? std::max(since, last_sign_) + timeout : now + timeout;
-    if (now < deadline) {
-      changed.wait_until(lock, deadline);
-    } else {
-      fail(lock, Error(ErrorCode::kDeadlineExceeded,
-                       options_.peer + ": no answer within " + std::to_string(timeout.count()) + " ms"));
-    }
-  }
-  return done();
-}
-
-/// After the last answer: how the stream has ended. With the lock.
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::take_status(Lock& lock) {
-  if (ended_) return;
-  reading_ = true;  // the one who takes it
-  call_->release(lock);
-  wait_for_peer(lock, call_->changed, Clock::now(), [&] { return call_->status.has_value(); });
-  reading_ = false;
-  if (ended_) return;
-  const grpc::Status& status = *call_->status;
-  if (status.error_code() == grpc::StatusCode::CANCELLED) {
-    error_.emplace(ErrorCode::kUnavailable, options_.peer + " ended the stream: " + status.error_message());
-  } else if (!status.ok()) {
-    error_.emplace(to_error(status, options_.peer));
-  } else if (in_flight_ > 0) {
-    error_.emplace(ErrorCode::kUnavailable, options_.peer + " ended the stream with frames unanswered");
-  }
-  ended_ = true;
-  call_->notify_all();
-}
-
-/// Ends the stream at once, and leaves the call to gRPC. With the lock.
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::fail(Lock& lock, const Error& error) {
-  if (ended_) return;
-  ended_ = true;
-  error_ = error;
-  call_->notify_all();
-  call_->cancel();
-  call_->release(lock);
-}
-
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::throw_if_ended_badly() const {
-  if (ended_ && error_.has_value()) throw *error_;
-}
-
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::close() {
-  const std::lock_guard write_lock(write_mutex_);
-  Lock lock(call_->mutex);
-  if (closed_ || ended_) return;
-  closed_ = true;
-  if (!wait_for_peer(lock, call_->may_write, write_since_, [&] { return !call_->writing; })) return;
-  if (!call_->released()) call_->start_writes_done(lock);
-}
-
-template <typename Request, typename Response>
-void FrameStream<Request, Response>::cancel() {
-  Lock lock(call_->mutex);
-  fail(lock, Error(ErrorCode::kCancelled, options_.peer + ": cancelled"));
-}
-
-template <typename Request, typename Response>
-std::uint32_t FrameStream<Request, Response>::in_flight() const {
-  const std::lock_guard lock(call_->mutex);
-  return in_flight_;
 }
 
 }  // namespace pleat::rpc
