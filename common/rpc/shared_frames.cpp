@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <linux/futex.h>
+#include <sched.h>
 #include <sys/mman.h>
 #include <sys/random.h>
 #include <sys/stat.h>
@@ -53,6 +54,96 @@ struct Ticket {
   std::string_view token;
 };
 
+/// A thread that sleeps, for those who may wake it up: 0 for none, or its id and these marks.
+using Place = std::atomic<std::uint64_t>;
+constexpr std::uint64_t kMoving = 1, kMoved = 2;
+constexpr int kMarkBits = 2;
+
+/// Whether nothing more waited where this thread received last: it sleeps soon.
+thread_local bool sleeps_soon = false;
+
+std::uint64_t own_id() {
+  thread_local const auto id = static_cast<std::uint64_t>(::syscall(SYS_gettid));
+  return id;
+}
+
+/// Where this thread may run, and back to that at the end if it was changed.
+class Processors {
+ public:
+  Processors() : known_(::sched_getaffinity(0, sizeof(allowed_), &allowed_) == 0) {}
+
+  bool several() const { return known_ && CPU_COUNT(&allowed_) > 1; }
+  void restore() const { ::sched_setaffinity(0, sizeof(allowed_), &allowed_); }
+
+ private:
+  cpu_set_t allowed_{};
+  bool known_;
+};
+
+/// While it lives, this thread may be brought to another processor; afterwards it runs where it could before.
+class Sleeping {
+ public:
+  explicit Sleeping(Place& place) : place_(place) {
+    if (processors_.several()) place_.store(own_id() << kMarkBits);
+  }
+  ~Sleeping() {
+    if (!processors_.several()) return;
+    // Who moves us is through in a moment, or has been killed.
+    const auto patience = std::chrono::steady_clock::now() + std::chrono::milliseconds(1);
+    while ((place_.load() & kMoving) != 0 && std::chrono::steady_clock::now() < patience) {
+    }
+    if (place_.exchange(0) != own_id() << kMarkBits) processors_.restore();
+  }
+  Sleeping(const Sleeping&) = delete;
+  Sleeping& operator=(const Sleeping&) = delete;
+
+ private:
+  Place& place_;
+  const Processors processors_;
+};
+
+/// While it lives, a thread of a real-time class stays where it is; it would make way for one that can't go elsewhere.
+class Staying {
+ public:
+  explicit Staying(const cpu_set_t& here) {
+    thread_local const int policy = ::sched_getscheduler(0);
+    if (policy != SCHED_FIFO && policy != SCHED_RR) return;
+    if (!before_.emplace().several() || ::sched_setaffinity(0, sizeof(here), &here) != 0) before_.reset();
+  }
+  ~Staying() {
+    if (before_) before_->restore();
+  }
+  Staying(const Staying&) = delete;
+  Staying& operator=(const Staying&) = delete;
+
+ private:
+  std::optional<Processors> before_;
+};
+
+/// Brings who sleeps there to this processor.
+void bring(Place& place, const cpu_set_t& here) {
+  std::uint64_t sleeper = place.load();
+  if (sleeper == 0 || (sleeper & (kMoving | kMoved)) != 0) return;
+  if (!place.compare_exchange_strong(sleeper, sleeper | kMoving)) return;
+  ::sched_setaffinity(static_cast<pid_t>(sleeper >> kMarkBits), sizeof(here), &here);
+  std::uint64_t moving = sleeper | kMoving;
+  place.compare_exchange_strong(moving, sleeper | kMoved);
+}
+
+/// Wakes up who sleeps there, on the processor that this thread is about to leave: to wake it up on another one takes
+/// an interrupt there, and the frame is in this one's caches.
+template <typename Wake>
+void wake_here(Place& place, const Wake& wake) {
+  const int processor = ::sched_getcpu();
+  if (processor < 0 || processor >= CPU_SETSIZE) return wake();
+  cpu_set_t here;
+  CPU_ZERO(&here);
+  CPU_SET(processor, &here);
+  const Staying staying(here);
+  bring(place, here);
+  wake();
+}
+
 std::optional<Ticket> parse(std::string_view text) {
   Ticket ticket;
   const char* const end = text.data() + text.size();
@@ -75,6 +166,7 @@ struct SharedFrames::Lane {
   };
   std::atomic<std::uint32_t> rings{0};  ///< of who receives
   std::atomic<std::uint32_t> closed{0};
+  Place sleeper{0};  ///< who waits for the next ring
   alignas(64) std::atomic<std::uint32_t> sent{0};
   std::atomic<std::uint32_t> received{0};
   std::atomic<std::uint64_t> taken{0};  ///< a bit for each slot
@@ -166,7 +258,7 @@ bool SharedFrames::send(const google::protobuf::MessageLite& message) {
   const std::uint32_t count = lane.sent.load(std::memory_order_relaxed);
   lane.entries[count % kMaxSlots] = {index, static_cast<std::uint32_t>(size)};
   lane.sent.store(count + 1, std::memory_order_release);
-  lane.ring();
+  sleeps_soon ? wake_here(lane.sleeper, [&] { lane.ring(); }) : lane.ring();
   return true;
 }
 
@@ -194,6 +286,7 @@ bool SharedFrames::receive(google::protobuf::MessageLite* message) {
     parsed = message->ParseFromArray(slot(client_ ? 1 : 0, entry.slot), static_cast<int>(entry.bytes));
   else
     message->Clear();
+  sleeps_soon = lane.sent.load(std::memory_order_relaxed) == count + 1;
   lane.received.store(count + 1, std::memory_order_release);
   if (inside) lane.taken.fetch_and(~(std::uint64_t{1} << entry.slot), std::memory_order_release);
   return parsed;
@@ -208,6 +301,7 @@ bool SharedFrames::wait(std::uint32_t rings, std::chrono::steady_clock::time_poi
   const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(since_epoch);
   const timespec deadline{static_cast<time_t>(seconds.count()),
                           static_cast<long>(std::chrono::nanoseconds(since_epoch - seconds).count())};
+  const Sleeping sleeping(in().sleeper);
   // steady_clock is CLOCK_MONOTONIC, which is what this operation counts by.
   ::syscall(SYS_futex, &in().rings, FUTEX_WAIT_BITSET, rings, &deadline, nullptr, FUTEX_BITSET_MATCH_ANY);
   return this->rings() != rings;

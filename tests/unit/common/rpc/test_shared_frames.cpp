@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
+#include <sched.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -81,6 +82,32 @@ TEST(SharedFrames, ARingWakesUp) {
   const std::uint32_t then = pair.server->rings();
   pair.server->ring();
   EXPECT_TRUE(pair.server->wait(then, Clock::now() + 60s)) << "rung before it waits";
+}
+
+/// Receives `count` messages and answers each; true if it may run afterwards where it could before.
+bool answer_all(SharedFrames& side, int count) {
+  cpu_set_t before, after;
+  sched_getaffinity(0, sizeof(before), &before);
+  v1::RefineRequest got;
+  for (int k = 0; k < count; ++k) {
+    for (std::uint32_t rings = side.rings(); !side.available(); rings = side.rings())
+      side.wait(rings, Clock::now() + 1s);
+    if (!side.receive(&got) || !side.send(got)) return false;
+  }
+  sched_getaffinity(0, sizeof(after), &after);
+  return CPU_EQUAL(&before, &after) != 0;
+}
+
+TEST(SharedFrames, WhoIsWokenUpRunsWhereItCouldBefore) {
+  const Pair pair;
+  bool client_as_before = false, server_as_before = false;
+  ASSERT_TRUE(pair.client->send(frame_of(0)));
+  std::thread client([&] { client_as_before = answer_all(*pair.client, 500); });
+  std::thread server([&] { server_as_before = answer_all(*pair.server, 500); });
+  client.join();
+  server.join();
+  EXPECT_TRUE(client_as_before);
+  EXPECT_TRUE(server_as_before);
 }
 
 TEST(SharedFrames, BytesThatAreNoMessageAreSaidToBeNone) {
