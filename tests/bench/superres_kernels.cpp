@@ -2,10 +2,10 @@
 // one thread. Prints processor time, which other work on the machine changes little; docs/decisions/0006-own-kernels.md
 // has a table.
 #include <torch/script.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 #include <cstdio>
-#include <cstdlib>
 #include <ctime>
 #include <functional>
 #include <string>
@@ -125,9 +125,13 @@ void training(const std::string& title, const Description& description, const to
 
 }  // namespace
 
-/// Usage: bench_superres_kernels [ROUNDS]
 int main(int argc, char** argv) {
-  const int rounds = argc > 1 ? std::atoi(argv[1]) : 20, few = std::max(3, rounds / 4);
+  CLI::App app("Times of Pleat's own convolutions beside LibTorch's, one thread");
+  int rounds = 20;
+  app.add_option("rounds", rounds, "of each small case; large ones have a quarter (default: 20)")
+      ->check(CLI::Range(1, 100000));
+  CLI11_PARSE(app, argc, argv);
+  const int few = std::max(3, rounds / 4);
   at::set_num_threads(1);
   const Description live =
       describe({"mfsr", R"({"blocks": 4, "layers": 4, "features": 32, "upsampling": "subpixel"})"}, {49, 3, 4, true});
