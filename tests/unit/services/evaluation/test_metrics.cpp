@@ -9,6 +9,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/statistics.hpp"
+#include "common/mesh/closest_points.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "services/evaluation/surface_distance.hpp"
 
@@ -64,16 +65,6 @@ TEST(VertexMeanSquareError, RefusesDifferentSizes) {
   EXPECT_THROW(vertex_mean_square_error(Positions(2, 3), Positions(3, 3)), Error);
 }
 
-TEST(PointTriangleDistance, CoversFaceEdgeCornerAndDegenerateTriangles) {
-  const Eigen::Vector3d a(0, 0, 0), b(2, 0, 0), c(0, 2, 0);
-  EXPECT_NEAR(squared_point_triangle_distance({0.5, 0.5, 3}, a, b, c), 9, 1e-12);
-  EXPECT_NEAR(squared_point_triangle_distance({1, -2, 0}, a, b, c), 4, 1e-12);
-  EXPECT_NEAR(squared_point_triangle_distance({2, 2, 0}, a, b, c), 2, 1e-12);
-  EXPECT_NEAR(squared_point_triangle_distance({-3, -4, 0}, a, b, c), 25, 1e-12);
-  EXPECT_NEAR(squared_point_triangle_distance({1, 1, 0}, a, b, b), 1, 1e-12);
-  EXPECT_NEAR(squared_point_triangle_distance({0, 0, 2}, a, a, a), 4, 1e-12);
-}
-
 TEST(SurfaceDistance, EqualsBruteForce) {
   const Topology mesh = grid(6, 1);
   std::mt19937 random(7);
@@ -89,7 +80,7 @@ TEST(SurfaceDistance, EqualsBruteForce) {
       const auto corner = [&](int i) -> Eigen::Vector3d {
         return bent.row(mesh.faces(f, i)).transpose().cast<double>();
       };
-      expected = std::min(expected, squared_point_triangle_distance(p, corner(0), corner(1), corner(2)));
+      expected = std::min(expected, closest_vertex_face(p, corner(0), corner(1), corner(2)).squared_distance);
     }
     EXPECT_NEAR(surface.squared_distance(p, std::numeric_limits<double>::infinity()), expected, 1e-12);
     EXPECT_DOUBLE_EQ(surface.squared_distance(p, expected / 2), expected / 2);
