@@ -81,12 +81,8 @@ class Bvh {
   /// New boxes, same elements. O(n).
   void refit(std::span<const Box> boxes);
 
-  /// All pairs (i < j) of elements whose boxes overlap. The pool may be null. Throws kResourceExhausted if there are
-  /// more than `limit`.
-  std::vector<Pair> self_pairs(ThreadPool* pool = nullptr, std::size_t limit = 100'000'000) const;
-
-  /// Calls visit(i, j), i < j, for every pair of self_pairs until it returns false. Needs no memory per pair, so that a
-  /// mesh that has collapsed into one place can't exhaust it. Returns whether all pairs were visited.
+  /// Calls visit(i, j), i < j, for every pair of elements whose boxes overlap until it returns false. Needs no memory
+  /// per pair, so that a mesh that has collapsed into one place can't exhaust it. Returns whether all were visited.
   template <typename Visit>
   bool visit_self_pairs(const Visit& visit) const {
     std::vector<Pair> stack;
@@ -130,9 +126,6 @@ class Bvh {
     }
     return true;
   }
-
-  /// All pairs (i of this, j of other) whose boxes overlap.
-  std::vector<Pair> pairs(const Bvh& other) const;
 
   /// Calls visit(element) for every element whose box is nearer to p than the root of `bound`, near boxes first. visit
   /// returns the new bound, a squared distance that never grows. Boxes whose distance equals the bound within rounding
@@ -187,7 +180,6 @@ class Bvh {
   };
 
   std::uint32_t build(std::span<const Box> boxes, std::span<std::uint32_t> elements);
-  void collide(std::uint32_t a, std::uint32_t b, std::size_t limit, std::vector<Pair>& out) const;
 
   std::vector<Node> nodes_;
   std::vector<Box> boxes_;              // one per node

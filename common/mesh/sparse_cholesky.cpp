@@ -82,8 +82,6 @@ Eigen::MatrixXd SparseCholesky::solve(const Eigen::MatrixXd& right) const {
   return result;
 }
 
-Eigen::Index SparseCholesky::size() const { return factor_->size; }
-
 SparseCholesky::Triangle SparseCholesky::triangle() const {
   Common common;
   cholmod_factor* copy = cholmod_copy_factor(factor_->factor, &common.value);
@@ -123,8 +121,6 @@ Eigen::MatrixXd SparseCholesky::solve(const Eigen::MatrixXd& right) const {
   if (right.rows() != factor_->llt.rows()) throw_internal("sparse Cholesky: right side of another size");
   return factor_->llt.solve(right);
 }
-
-Eigen::Index SparseCholesky::size() const { return factor_->llt.rows(); }
 
 SparseCholesky::Triangle SparseCholesky::triangle() const {
   Triangle triangle;

@@ -19,8 +19,6 @@ class SparseCholesky {
   /// Solves for all columns of right (n x k). May be called from several threads.
   Eigen::MatrixXd solve(const Eigen::MatrixXd& right) const;
 
-  Eigen::Index size() const;
-
   /// A copy of the factor, for solvers of other kinds: lower lower^T = P A P^T, columns with ascending rows, the
   /// diagonal first. Row i of `lower` belongs to row permutation[i] of the matrix.
   struct Triangle {

@@ -90,15 +90,6 @@ void Metrics::count(const std::string& name, double amount) {
       .Increment(amount);
 }
 
-void Metrics::set_gauge(const std::string& name, double value) {
-  prometheus::BuildGauge()
-      .Name("pleat_" + name)
-      .Help(name + " now")
-      .Register(*state_->registry)
-      .Add({{"service", state_->service}})
-      .Set(value);
-}
-
 std::string Metrics::text() const { return prometheus::TextSerializer().Serialize(state_->registry->Collect()); }
 
 }  // namespace pleat::telemetry

@@ -14,7 +14,7 @@ namespace pleat::telemetry {
 ///   pleat_sessions{service}                      gauge of open streams
 ///   pleat_inflight_frames{service,stage}         gauge
 ///   pleat_queue_depth{service,edge}              gauge: frames or jobs that wait
-///   pleat_NAME_total{service}, pleat_NAME{service}   by count() and set_gauge(), for what only one service has
+///   pleat_NAME_total{service}                    by count(), for what only one service has
 class Metrics {
  public:
   explicit Metrics(const std::string& service);
@@ -32,7 +32,6 @@ class Metrics {
   void add_inflight(const std::string& stage, int delta);
   void set_queue_depth(const std::string& edge, std::size_t depth);
   void count(const std::string& name, double amount = 1);
-  void set_gauge(const std::string& name, double value);
 
   /// The page as served; for tests.
   std::string text() const;

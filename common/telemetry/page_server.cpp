@@ -114,11 +114,4 @@ PageServer::~PageServer() {
   if (write(state_->stop.get(), &one, sizeof(one)) == sizeof(one)) state_->thread.join();
 }
 
-int PageServer::port() const {
-  sockaddr_in where{};
-  socklen_t size = sizeof(where);
-  getsockname(state_->socket.get(), reinterpret_cast<sockaddr*>(&where), &size);
-  return ntohs(where.sin_port);
-}
-
 }  // namespace pleat::telemetry

@@ -19,8 +19,6 @@ class PageServer {
   PageServer(const PageServer&) = delete;
   PageServer& operator=(const PageServer&) = delete;
 
-  int port() const;
-
  private:
   struct State;
   std::unique_ptr<State> state_;

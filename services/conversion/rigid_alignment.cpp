@@ -58,11 +58,4 @@ RigidTransform kabsch(const Positions& positions, const Positions& rest) {
   return transform;
 }
 
-RigidTransform inverse(const RigidTransform& transform) {
-  RigidTransform result;
-  result.rotation = transform.rotation.transpose();
-  result.translation = -(result.rotation * transform.translation);
-  return result;
-}
-
 }  // namespace pleat::conversion

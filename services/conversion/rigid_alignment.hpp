@@ -11,7 +11,4 @@ namespace pleat::conversion {
 /// positions, rest: (V x 3), V >= 1. Throws kInvalidArgument for different sizes or values that are not finite.
 RigidTransform kabsch(const Positions& positions, const Positions& rest);
 
-/// The inverse map: x -> R^T (x - t).
-RigidTransform inverse(const RigidTransform& transform);
-
 }  // namespace pleat::conversion

@@ -166,7 +166,6 @@ void sample(const std::vector<TexelTaps>& taps, const Values& values, float* pla
 struct ImageMap::Maps {
   Topology coarse, fine;
   ImageSpec spec;
-  Eigen::Vector2d material_scale;
   TexelGrid coarse_grid, fine_grid;
   std::vector<std::uint8_t> coarse_mask, fine_mask;
   std::vector<TexelTaps> coarse_taps, fine_taps;
@@ -247,8 +246,7 @@ ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec
   m.coarse = coarse;
   m.fine = fine;
   const Box box = material_box(coarse, fine);
-  m.material_scale = recover_material_scale(fine);
-  m.spec = resolve_size(spec, box, fine, m.material_scale);
+  m.spec = resolve_size(spec, box, fine, recover_material_scale(fine));
   const std::int64_t width = static_cast<std::int64_t>(m.spec.coarse_width) * m.spec.scale;
   const std::int64_t height = static_cast<std::int64_t>(m.spec.coarse_height) * m.spec.scale;
   if (width > spec.max_fine_texels || height > spec.max_fine_texels || width * height > spec.max_fine_texels) {
@@ -285,7 +283,6 @@ int ImageMap::coarse_width() const { return maps_->coarse_grid.width; }
 int ImageMap::coarse_height() const { return maps_->coarse_grid.height; }
 int ImageMap::fine_width() const { return maps_->fine_grid.width; }
 int ImageMap::fine_height() const { return maps_->fine_grid.height; }
-Eigen::Vector2d ImageMap::material_scale() const { return maps_->material_scale; }
 const std::vector<std::uint8_t>& ImageMap::coarse_mask() const { return maps_->coarse_mask; }
 const std::vector<std::uint8_t>& ImageMap::fine_mask() const { return maps_->fine_mask; }
 
@@ -352,13 +349,5 @@ void ImageMap::to_mesh(const Tensor& image, const RigidTransform& transform, Pos
 }
 
 const VertexReads& ImageMap::vertex_reads() const { return maps_->vertex_reads; }
-
-Positions ImageMap::velocities(const Tensor& image, const RigidTransform& transform) const {
-  Positions result;
-  maps_->read(
-      image, kVelocityChannel, transform, [](Eigen::Index) -> Eigen::Vector3f { return Eigen::Vector3f::Zero(); },
-      result);
-  return result;
-}
 
 }  // namespace pleat::conversion

@@ -53,10 +53,6 @@ class ImageMap {
   int fine_width() const;
   int fine_height() const;
 
-  /// Metres per unit of the material coordinates along u and v, recovered from the rest mesh; (1, 1) if they are in
-  /// metres. It decides the aspect of an image whose size is chosen here.
-  Eigen::Vector2d material_scale() const;
-
   /// 1 where a texel holds a value of its own, 0 where it is padding; (h w) and (H W), row-major. A coarse texel is
   /// valid if its centre is in a chart; a fine texel also if a vertex at the rim of a chart reads it.
   const std::vector<std::uint8_t>& coarse_mask() const;
@@ -94,9 +90,6 @@ class ImageMap {
 
   /// What to_mesh reads: displacements in the frame of the alignment, to which it adds the rest positions.
   const VertexReads& vertex_reads() const;
-
-  /// Fine velocities (V_fine x 3) from the velocity channels, rotated back. image: (9, H, W).
-  Positions velocities(const Tensor& image, const RigidTransform& transform) const;
 
  private:
   struct Maps;

@@ -96,14 +96,4 @@ Positions skin(const SkinnedMesh& body, const std::vector<RigidTransform>& world
   return skinning == Skinning::kLinear ? skin_linear(body, moves) : skin_dual_quaternion(body, moves);
 }
 
-std::vector<std::uint16_t> dominant_joints(const SkinnedMesh& body) {
-  std::vector<std::uint16_t> dominant;
-  for (Eigen::Index v = 0; v < body.weights.rows(); ++v) {
-    Eigen::Index best = 0;
-    body.weights.row(v).maxCoeff(&best);
-    dominant.push_back(body.joints(v, best));
-  }
-  return dominant;
-}
-
 }  // namespace pleat::body

@@ -37,7 +37,4 @@ enum class Skinning {
 /// Where the vertices are when the joints are there. O(V). Returns (V x 3) metres.
 Positions skin(const SkinnedMesh& body, const std::vector<RigidTransform>& world, Skinning skinning);
 
-/// The joint with the largest weight, for each vertex: which part of the body it is.
-std::vector<std::uint16_t> dominant_joints(const SkinnedMesh& body);
-
 }  // namespace pleat::body

@@ -27,7 +27,6 @@ Eigen::SparseMatrix<double> grid_laplacian(int n, double diagonal) {
 TEST(SparseCholesky, SolvesManyRightSidesFromTwoThreads) {
   const Eigen::SparseMatrix<double> a = grid_laplacian(40, 4.5);
   const SparseCholesky solver(a);
-  EXPECT_EQ(solver.size(), 1600);
   std::mt19937 random(1);
   std::uniform_real_distribution<double> uniform(-1, 1);
   const Eigen::MatrixXd x =

@@ -21,7 +21,6 @@ TEST(Metrics, NamesAndLabels) {
   metrics.set_queue_depth("to_image", 3);
   metrics.count("penetrations", 4);
   metrics.count("penetrations");
-  metrics.set_gauge("model_bytes", 12);
   const std::string text = metrics.text();
   for (const char* line : {
            "pleat_frames_total{result=\"ok\",service=\"refinement\",stage=\"refinement\"} 2",
@@ -30,7 +29,6 @@ TEST(Metrics, NamesAndLabels) {
            "pleat_sessions{service=\"refinement\"} 1",
            "pleat_queue_depth{edge=\"to_image\",service=\"refinement\"} 3",
            "pleat_penetrations_total{service=\"refinement\"} 5",
-           "pleat_model_bytes{service=\"refinement\"} 12",
        }) {
     EXPECT_NE(text.find(line), std::string::npos) << line << "\n" << text;
   }

@@ -65,12 +65,6 @@ TEST(SkinnedMesh, TheRingAtATwistedJointShrinksLinearlyAndKeepsItsRadiusAsADualQ
   }
 }
 
-TEST(SkinnedMesh, DominantJointsAreThoseOfTheLargestWeight) {
-  const auto dominant = dominant_joints(tube());
-  EXPECT_EQ(dominant[0], 0);
-  EXPECT_EQ(dominant.back(), 1);
-}
-
 TEST(SkinnedMesh, FaultsNameTheVertex) {
   SkinnedMesh body = tube();
   body.weights(7, 0) = 0.5F;
