@@ -14,4 +14,7 @@ inline constexpr int kDisplacementChannel = 0, kNormalChannel = 3, kVelocityChan
 /// "displacement_x" ... "velocity_z": (9).
 const std::vector<std::string>& frame_channel_names();
 
+/// Where the three channels that begin as frame_channel_names()[first] do are among `names`; -1: nowhere.
+int find_frame_channels(const std::vector<std::string>& names, int first);
+
 }  // namespace pleat

@@ -9,6 +9,30 @@
 
 namespace pleat::conversion {
 
+namespace {
+
+AnswerForm form_of(const GeometryImageSpec& spec, int) {
+  AnswerForm form;
+  form.scale = spec.image.scale;
+  form.detail = form.own_axes = spec.layout == ImageLayout::kDetail;
+  form.first_three = true;
+  if (spec.image.coarse_width > 0) form.input_size = {{spec.image.coarse_height, spec.image.coarse_width}};
+  return form;
+}
+
+AnswerForm form_of(const VertexFeatureSpec&, int rounds) {
+  AnswerForm form;
+  form.scale = patch_side(rounds);
+  form.detail = true;
+  return form;
+}
+
+}  // namespace
+
+AnswerForm answer_form(const RepresentationSpec& spec) {
+  return std::visit([&](const auto& kind) { return form_of(kind, spec.subdivision.rounds); }, spec.kind);
+}
+
 std::unique_ptr<const Representation> make_representation(const Topology& coarse, const RepresentationSpec& spec,
                                                           const Topology* fine) {
   if (spec.window < 1 || spec.window > kMaxWindow) {

@@ -2,8 +2,10 @@
 // owns both meshes; a network maps tensors to tensors and knows none. docs/extending.md says how to add one.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <variant>
 #include <vector>
@@ -26,6 +28,17 @@ struct RepresentationSpec {
   SubdivisionSpec subdivision;
   int window = 1;  ///< frames that the network reads, 1 to kMaxWindow
 };
+
+/// What a spec says of a network's answers before there is a mesh.
+struct AnswerForm {
+  int scale = 1;             ///< an answer is that many times as high and wide as what the network reads
+  bool detail = false;       ///< an answer of zeros is the upsampled coarse mesh
+  bool own_axes = false;     ///< its vectors are in the cloth's own axes, answer_axes() below
+  bool first_three = false;  ///< decode() reads no more than the first three channels
+  /// Height and width of what the network reads, if the spec fixes them.
+  std::optional<std::array<std::int64_t, 2>> input_size;
+};
+AnswerForm answer_form(const RepresentationSpec& spec);
 
 /// Values here are physical (metres, m/s, no unit); ChannelRanges are taken off and put back outside, with normalize()
 /// and denormalize(). Constants are the exception: they come as the network reads them.
@@ -78,8 +91,8 @@ class Representation {
   /// answer_axes() where that gives any. Corrections that decode() makes of the result by further channels are not in
   /// it; there are none where the answer is a target().
   virtual const VertexReads& reads() const = 0;
-  /// The axes in which the answer's vectors are given: (9, h, w), three unit vectors at each place of the *input*, in
-  /// the alignment's axes; enlarged bilinearly they belong to the places of the answer. Without a shape: the
+  /// The axes in which the answer's vectors are given: (3 x 3, h, w), three unit vectors at each place of the *input*,
+  /// in the alignment's axes; enlarged bilinearly they belong to the places of the answer. Without a shape: the
   /// alignment's own axes.
   virtual void answer_axes(const Positions& coarse, const RigidTransform& alignment, Tensor& axes) const = 0;
   /// decode() of an answer of zeros, in the alignment's axes: what reads() adds to. (V_fine x 3).

@@ -1,4 +1,5 @@
 // Benchmarks that need processes: the network, and the whole pipeline.
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -17,7 +18,9 @@
 #include "common/frame/messages.hpp"
 #include "common/rpc/status.hpp"
 #include "services/cli/launcher/launcher.hpp"
+#include "services/conversion/spec_messages.hpp"
 #include "services/evaluation/bench.hpp"
+#include "services/evaluation/bench_inputs.hpp"
 #include "services/evaluation/superres_process.hpp"
 #include "services/presentation/input/scene_file.hpp"
 #include "services/simulation/scene_messages.hpp"
@@ -35,23 +38,33 @@ std::filesystem::path log_file(const BenchOptions& options, const std::string& p
   return options.out / "logs" / ("superres-" + precision + ".log");
 }
 
-/// Random values of the size of a bundle's images.
-v1::Tensor random_image(std::uint32_t channels, const v1::GeometryImage& size) {
+using Extents = std::array<std::int64_t, 2>;
+
+/// Height and width of what a bundle reads: its own, or what its representation makes of the garment.
+Extents input_size(const v1::Representation& message, const Topology& garment) {
+  const auto spec = conversion::spec_from(message, conversion::ImageSpec{}.max_fine_texels);
+  if (const auto own = conversion::answer_form(spec).input_size) return *own;
+  const std::vector<std::int64_t> shape = conversion::make_representation(garment, spec)->input_shape();
+  return {shape.at(1), shape.at(2)};
+}
+
+/// Random values: (channels, height, width).
+v1::Tensor random_image(std::int64_t channels, const Extents& size) {
   std::mt19937 random(1);
   std::uniform_real_distribution<float> value(0.3f, 0.7f);
   v1::Tensor image;
-  for (const std::uint32_t extent : {channels, size.height(), size.width()}) image.add_shape(extent);
-  for (std::uint32_t i = 0; i < channels * size.height() * size.width(); ++i) image.add_values(value(random));
+  for (const std::int64_t extent : {channels, size[0], size[1]}) image.add_shape(static_cast<std::uint32_t>(extent));
+  for (std::int64_t i = 0; i < channels * size[0] * size[1]; ++i) image.add_values(value(random));
   return image;
 }
 
 /// Milliseconds of each inference of random images of the bundle's size, as the service measures them.
-std::vector<double> infer(SuperresProcess& service, const std::string& model, std::size_t runs,
+std::vector<double> infer(SuperresProcess& service, const std::string& model, const Topology& garment, std::size_t runs,
                           std::string* precision) {
   const auto stream = service.stream();
   const v1::ModelDescription description = service.describe(model);
   const v1::Representation& representation = description.representation();
-  const v1::GeometryImage& size = representation.geometry_image();
+  const Extents size = input_size(representation, garment);
   v1::UpscaleRequest request;
   request.mutable_open()->set_model(model);
   request.mutable_open()->set_window(1);
@@ -60,8 +73,9 @@ std::vector<double> infer(SuperresProcess& service, const std::string& model, st
   }
   const v1::ModelDescription opened = stream->open(request);
   *precision = opened.precision();
-  const auto channels = static_cast<std::uint32_t>(representation.input().scale_size());
-  *request.mutable_frame()->mutable_image() = random_image(std::max(1u, representation.window()) * channels, size);
+  const std::int64_t channels = representation.input().scale_size();
+  *request.mutable_frame()->mutable_image() =
+      random_image(std::max<std::int64_t>(1, representation.window()) * channels, size);
   *request.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
   std::vector<double> ms;
   for (std::size_t r = 0; r < runs + kWarmUp; ++r) {
@@ -136,11 +150,12 @@ Latency live_latency(const client::Client& client, const simulation::Scene& scen
 }  // namespace
 
 Figures bench_superres(const BenchOptions& options) {
+  const Topology garment = load_bench_scene(scene_or(options, "draping"), options.frames).garment;
   Figures figures;
   std::string precision;
   {
     SuperresProcess service(options.models, "auto", log_file(options, "auto"));
-    const std::vector<double> ms = infer(service, service.describe().model(), options.frames, &precision);
+    const std::vector<double> ms = infer(service, service.describe().model(), garment, options.frames, &precision);
     figures.push_back({"infer", {median(ms), ms.size(), "ms"}});
   }
   for (const std::string wanted : {"float32", "bfloat16"}) {
@@ -153,7 +168,7 @@ Figures bench_superres(const BenchOptions& options) {
       continue;
     }
     for (const v1::ModelDescription& model : service->models()) {
-      const std::vector<double> ms = infer(*service, model.model(), options.frames, &precision);
+      const std::vector<double> ms = infer(*service, model.model(), garment, options.frames, &precision);
       if (precision != wanted) continue;  // the bundle refuses it
       figures.push_back({"infer/" + model.model() + "/" + wanted, {median(ms), ms.size(), "ms"}});
     }

@@ -5,6 +5,7 @@
 #include <torch/torch.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <map>
@@ -67,18 +68,6 @@ Precision precision_from_string(const std::string& text) {
   throw_invalid_argument("precision must be auto, float32 or bfloat16, is '" + text + "'");
 }
 
-std::string to_string(Precision precision) {
-  switch (precision) {
-    case Precision::kAuto:
-      return "auto";
-    case Precision::kFloat32:
-      return "float32";
-    case Precision::kBfloat16:
-      return "bfloat16";
-  }
-  throw_internal("unknown precision");
-}
-
 bool processor_has_bfloat16() {
   const std::string flags = " " + processor_field("flags") + " ";
   return flags.find(" avx512_bf16 ") != std::string::npos || flags.find(" amx_bf16 ") != std::string::npos;
@@ -95,10 +84,8 @@ struct Engine::State {
   std::mutex mutex;
 
   /// Height and width of what the bundle reads, if it says so.
-  std::optional<std::pair<std::int64_t, std::int64_t>> own_size() const {
-    const auto* kind = std::get_if<conversion::GeometryImageSpec>(&metadata.representation.kind);
-    if (kind == nullptr || kind->image.coarse_width == 0) return std::nullopt;
-    return std::pair<std::int64_t, std::int64_t>(kind->image.coarse_height, kind->image.coarse_width);
+  std::optional<std::array<std::int64_t, 2>> own_size() const {
+    return conversion::answer_form(metadata.representation).input_size;
   }
 
   std::vector<std::int64_t> answer_shape(const std::vector<std::int64_t>& frames, int channels) const {
@@ -186,7 +173,7 @@ struct Engine::State {
   /// The first inferences make buffers, and TorchScript optimises in its second; a batch of one must be as warm as a
   /// full one.
   void warm_up(const std::string& path) {
-    const auto [h, w] = own_size().value_or(std::pair(kAnySide, kAnySide));
+    const auto [h, w] = own_size().value_or(std::array{kAnySide, kAnySide});
     const auto filled = [&](std::int64_t channels) {
       return Tensor{{channels, h, w}, {}, std::vector<float>(static_cast<std::size_t>(channels * h * w), 0.5F)};
     };
@@ -306,9 +293,9 @@ void Engine::check(const NetworkInput& input) const {
     throw_invalid_argument("image: " + size + " is no size");
   }
   const auto own = s.metadata.topology_hash.empty() ? std::nullopt : s.own_size();
-  if (own && (shape[1] != own->first || shape[2] != own->second)) {
-    throw_invalid_argument("image: " + size + ", the bundle serves its own mesh at " + std::to_string(own->second) +
-                           "x" + std::to_string(own->first));
+  if (own && (shape[1] != (*own)[0] || shape[2] != (*own)[1])) {
+    throw_invalid_argument("image: " + size + ", the bundle serves its own mesh at " + std::to_string((*own)[1]) + "x" +
+                           std::to_string((*own)[0]));
   }
   if (static_cast<std::int64_t>(input.frames->values.size()) != shape[0] * shape[1] * shape[2]) {
     throw_invalid_argument("image: needs " + std::to_string(shape[0] * shape[1] * shape[2]) + " values, has " +

@@ -20,7 +20,6 @@ enum class Precision {
 
 /// "auto", "float32" or "bfloat16"; anything else is kInvalidArgument.
 Precision precision_from_string(const std::string& text);
-std::string to_string(Precision precision);
 
 /// True if this processor has bfloat16 dot products (AVX512-BF16 or AMX-BF16).
 bool processor_has_bfloat16();

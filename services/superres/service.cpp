@@ -144,9 +144,8 @@ grpc::Status SuperResolutionService::Upscale(
         const auto constants = loaded->engine().take_constants(
             open.constants().shape_size() > 0 ? from_message(open.constants(), "open.constants") : Tensor{});
         // Corrections by gradients need the whole answer.
-        const bool image =
-            std::holds_alternative<conversion::GeometryImageSpec>(loaded->engine().describe().representation.kind);
-        const int channels = open.displacement_only() && image ? kPositionChannels : 0;
+        const bool enough = conversion::answer_form(loaded->engine().describe().representation).first_three;
+        const int channels = open.displacement_only() && enough ? kPositionChannels : 0;
         return [loaded, session, constants, channels, dtype = open.dtype()](const v1::ImageFrame& request,
                                                                             v1::ImageFrame* response) {
           Tensor frames;

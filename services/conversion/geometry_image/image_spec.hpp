@@ -5,6 +5,8 @@
 
 namespace pleat::conversion {
 
+/// Fine size over coarse size.
+inline constexpr int kDefaultScale = 4, kMostScale = 16;
 /// Weight of the second differences of a fitted fine image.
 inline constexpr double kDefaultFitWeight = 5e-5;
 
@@ -18,7 +20,7 @@ struct ImageSpec {
   double texels_per_fine_vertex = 3;  ///< chooses the size where coarse_width is 0
   int coarse_width = 0;               ///< texels; 0: from texels_per_fine_vertex and the material bounding box
   int coarse_height = 0;              ///< texels; set with coarse_width or not at all
-  int scale = 4;                      ///< fine size over coarse size, 1 to 16
+  int scale = kDefaultScale;          ///< fine size over coarse size, 1 to kMostScale
   FineImageMethod method = FineImageMethod::kFitted;
   double lambda = kDefaultFitWeight;          ///< weight of the second differences of kFitted, > 0
   std::int64_t max_fine_texels = 16ll << 20;  ///< more are refused before anything is built

@@ -117,7 +117,7 @@ conversion::GeometryImageSpec read_image(const Object& object) {
   spec.base = image.choice<conversion::DetailBase>("base", kBases);
   spec.image.coarse_width = image.integer("width", 0, 0, kLargestImageSide);
   spec.image.coarse_height = image.integer("height", 0, 0, kLargestImageSide);
-  spec.image.scale = image.integer("scale", 4, 1, 16);
+  spec.image.scale = image.integer("scale", conversion::kDefaultScale, 1, conversion::kMostScale);
   return spec;
 }
 
@@ -138,17 +138,13 @@ void read_representation(const Object& object, Metadata& m) {
 }  // namespace
 
 Ports ports_of(const Metadata& metadata) {
+  const conversion::AnswerForm form = conversion::answer_form(metadata.representation);
   Ports ports;
   ports.inputs = metadata.representation.window * static_cast<int>(metadata.input.channels()) + metadata.constants;
   ports.outputs = static_cast<int>(metadata.output.channels());
   ports.window = metadata.representation.window;
-  if (const auto* image = std::get_if<conversion::GeometryImageSpec>(&metadata.representation.kind)) {
-    ports.scale = image->image.scale;
-    ports.detail = image->layout == conversion::ImageLayout::kDetail;
-  } else {
-    ports.scale = conversion::patch_side(metadata.representation.subdivision.rounds);
-    ports.detail = true;
-  }
+  ports.scale = form.scale;
+  ports.detail = form.detail;
   return ports;
 }
 

@@ -17,9 +17,9 @@ struct Architecture {
 
 /// What a network is put between. All of it follows from the representation.
 struct Ports {
-  int inputs = 9;       ///< channels of what it reads: those of every frame of the window, then the constant ones
-  int outputs = 9;      ///< channels of its answer
-  int scale = 4;        ///< its answer is that many times as high and wide
+  int inputs = 1;       ///< channels of what it reads: those of every frame of the window, then the constant ones
+  int outputs = 1;      ///< channels of its answer
+  int scale = 1;        ///< its answer is that many times as high and wide
   bool detail = false;  ///< the answer is added to an upsampled mesh: without training it is zero
   int window = 1;       ///< frames that it reads at once
 };

@@ -34,7 +34,7 @@ void visit(Visitor& v, Config& c) {
   v.section("images", [&] {
     v.choice("layout", c.images.layout, {"published", "detail", "positions"});
     v.choice("base", c.images.base, {"vertices", "texels"});
-    v.range("scale", c.images.scale, 1, 16);
+    v.range("scale", c.images.scale, 1, conversion::kMostScale);
     v.range("coarse_width", c.images.coarse_width, 0, 2048);
     v.range("coarse_height", c.images.coarse_height, 0, 2048);
     v.range("texels_per_fine_vertex", c.images.texels_per_fine_vertex, 0.5, 100);

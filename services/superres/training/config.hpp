@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "services/conversion/representation.hpp"
 #include "services/superres/networks/registry.hpp"
 
 namespace pleat::superres {
@@ -14,18 +15,18 @@ struct ImagesConfig {
   std::string layout = "published";         ///< "published", "detail" or "positions"
   std::string base = "vertices";            ///< of "detail": where it is added, at "vertices" or "texels"
   int coarse_width = 0, coarse_height = 0;  ///< texels; 0: chosen from texels_per_fine_vertex
-  int scale = 4;                            ///< answers are that many times as high and wide
-  double texels_per_fine_vertex = 3;
-  std::string method = "fitted";  ///< "fitted" or "sampled" fine images
-  double lambda = 1e-4;           ///< smoothness of fitted images
+  int scale = conversion::kDefaultScale;    ///< answers are that many times as high and wide
+  double texels_per_fine_vertex = conversion::ImageSpec{}.texels_per_fine_vertex;
+  std::string method = "fitted";                  ///< "fitted" or "sampled" fine images
+  double lambda = conversion::kDefaultFitWeight;  ///< smoothness of fitted images
 };
 
 /// How conversion makes vertex features (docs/vertex-features.md).
 struct FeaturesConfig {
-  std::string rotation = "logarithm";  ///< "logarithm" or "quaternion"
-  std::string axes = "heading";        ///< of the values: "heading", turned with the cloth, or "fixed"
-  int passes = 2;                      ///< corrections of an answer's positions by its gradients
-  double anchor_weight = 0.1;
+  std::string rotation = "logarithm";       ///< "logarithm" or "quaternion"
+  std::string axes = "heading";             ///< of the values: "heading", turned with the cloth, or "fixed"
+  int passes = conversion::kDefaultPasses;  ///< corrections of an answer's positions by its gradients
+  double anchor_weight = conversion::kDefaultAnchorWeight;
 };
 
 struct LossConfig {
@@ -99,7 +100,7 @@ struct TrainConfig {
   /// Windows that one pass holds; a step adds up the gradients of several. 0: all of them, fewer after the device ran
   /// out of memory.
   int micro_batch = 0;
-  /// Nine channels to nine, in the units of the data set's own normalisation.
+  /// The channels of a frame to the same, in the units of the data set's own normalisation.
   bool published_images() const { return representation == "geometry_image" && images.layout == "published"; }
   std::string initial;  ///< check-point whose weights begin the training; empty: fresh weights
 };

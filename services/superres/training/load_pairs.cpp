@@ -249,7 +249,7 @@ class Loader {
       }
       normalize(loaded_.data.output_ranges, frame.answer);
       for (const float v : frame.answer.values) clamped += key.fixed_point.holds(v) ? 0 : 1;
-      std::array<float, 9> rotation{};
+      RotationRows rotation{};
       Eigen::Map<Eigen::Matrix<float, 3, 3, Eigen::RowMajor>>(rotation.data()) = frame.alignment.rotation;
       writer.append(frame.input.values, frame.answer.values, rotation);
     });

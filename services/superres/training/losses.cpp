@@ -15,7 +15,7 @@ torch::Tensor rotate_back(const torch::Tensor& vectors, const torch::Tensor& rot
 /// Mean extent of three channels, in physical units; what interpolation lacks of it with scaling "deviation".
 torch::Tensor mean_range(int first, const LossConstants& constants, const LossConfig& config) {
   // Without normals of their own, those of the mesh count as they are.
-  if (first + 3 > constants.scale.size(0)) return torch::ones({}, constants.scale.options());
+  if (first < 0) return torch::ones({}, constants.scale.options());
   const auto channels = Slice(first, first + 3);
   const auto range = constants.scale.index({channels});
   return config.scaling == "deviation" ? (range * constants.deviation.index({channels})).mean() : range.mean();
@@ -32,8 +32,8 @@ torch::Tensor kinematic_loss(const torch::Tensor& synthesized, const Batch& batc
     return part.view({windows, frames, 3, t.size(2), t.size(3)});
   };
   const bool exact = config.alignment == "exact";
-  torch::Tensor d = shape(synthesized, 0), v = shape(synthesized, 6);
-  const torch::Tensor true_d = shape(batch.answer, 0), true_v = shape(batch.answer, 6);
+  torch::Tensor d = shape(synthesized, 0), v = shape(synthesized, constants.velocity);
+  const torch::Tensor true_d = shape(batch.answer, 0), true_v = shape(batch.answer, constants.velocity);
   torch::Tensor target = config.target == "ground_truth" ? true_d : d;
   if (exact) {
     // The simulated frames satisfy the relation exactly, so the errors alone have to; the rest positions and
@@ -59,12 +59,12 @@ torch::Tensor read_vertices(const torch::Tensor& values, const LossConstants& co
   return (values.flatten(2).gather(2, places).view({images, 3, reads, -1}) * constants.vertex_weights).sum(2);
 }
 
-/// Vectors in the cloth's own axes -> in the alignment's. axes: (N, 9, h, w), enlarged bilinearly.
+/// Vectors in the cloth's own axes -> in the alignment's. axes: (N, 3 x 3, h, w), enlarged bilinearly.
 torch::Tensor turned(const torch::Tensor& vectors, const torch::Tensor& axes) {
   if (!axes.defined()) return vectors;
   const auto fine = torch::upsample_bilinear2d(axes, {vectors.size(2), vectors.size(3)}, false);
   return vectors.slice(1, 0, 1) * fine.slice(1, 0, 3) + vectors.slice(1, 1, 2) * fine.slice(1, 3, 6) +
-         vectors.slice(1, 2, 3) * fine.slice(1, 6, 9);
+         vectors.slice(1, 2, 3) * fine.slice(1, 6);
 }
 
 /// Values (N, 3, V) at vertex `row` of each face or edge, (N, 3, F).
@@ -105,7 +105,7 @@ void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const B
   const auto answer = truth + error;
   if (config.vertex_normals > 0) {
     const auto difference = mesh_normals(answer, constants.faces) - mesh_normals(truth, constants.faces);
-    losses.vertex_normals = (difference / mean_range(3, constants, config)).square().mean();
+    losses.vertex_normals = (difference / mean_range(constants.normal, constants, config)).square().mean();
     losses.total = losses.total + config.vertex_normals * losses.vertex_normals;
   }
   if (config.edges > 0) {
@@ -151,7 +151,7 @@ Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, cons
   losses.velocity = part(6);
   losses.total =
       config.displacement * losses.displacement + config.normal * losses.normal + config.velocity * losses.velocity;
-  if (batch.frames > 1 && config.kinematic > 0 && synthesized.size(1) >= 9) {
+  if (batch.frames > 1 && config.kinematic > 0 && constants.velocity >= 0) {
     losses.kinematic = kinematic_loss(synthesized, batch, constants, config);
     losses.total = losses.total + config.kinematic * losses.kinematic;
   } else {

@@ -15,8 +15,8 @@ struct Batch {
   torch::Tensor mask;                  ///< (N, 1, H, W): 1 where a texel is valid
   torch::Tensor rotations;             ///< (N, 3, 3): rigid alignment of each frame, world to rest
   std::vector<std::uint64_t> mirrors;  ///< (N): how each input is mirrored
-  /// For losses on vertices, else undefined: (N, 3, V) the fine mesh without the answer's part, and (N, 9, h, w) the
-  /// axes of the answer's vectors, undefined if they are the alignment's.
+  /// For losses on vertices, else undefined: (N, 3, V) the fine mesh without the answer's part, and (N, 3 x 3, h, w)
+  /// the axes of the answer's vectors, undefined if they are the alignment's.
   torch::Tensor vertex_base, axes;
   int frames = 1;  ///< F
 
@@ -25,8 +25,9 @@ struct Batch {
 
 /// What the losses need to know of the data.
 struct LossConstants {
-  torch::Tensor offset, scale;  ///< (C): of the answer's ranges
-  torch::Tensor deviation;      ///< (C): of what interpolation lacks, normalised; for LossConfig::scaling
+  torch::Tensor offset, scale;     ///< (C): of the answer's ranges
+  torch::Tensor deviation;         ///< (C): of what interpolation lacks, normalised; for LossConfig::scaling
+  int normal = -1, velocity = -1;  ///< where the answer's normals and velocities begin; -1: it has none
   double frame_time_s = 0;
   torch::Tensor vertex_texels;   ///< (K V) int64
   torch::Tensor vertex_weights;  ///< (K, V)
@@ -44,14 +45,15 @@ struct Losses {
 };
 
 /// synthesized: (N, C, H, W), the network's answer to batch.input, not mirrored: displacements in the first three
-/// channels, and if there are nine, normals and velocities.
+/// channels; what the next three and those after them are counts as normals and velocities.
 /// Eq. 2-4 compare normalised values. Eq. 5 needs metres: values are denormalised, and the residual is divided by the
 /// mean displacement range (with scaling "deviation" by the mean deviation in metres), so that its scale is that of
 /// eq. 2. With backward velocities it reads, for k = 1..n,
 ///   R_k^-1 d_k - R_0^-1 d_0 - dt sum_{j=1..k} R_j^-1 v_j        (the simulated frames satisfy it)
 /// for the errors d = d^s - d^h, v = v^s - v^h ("exact"), or with one shared rotation and the synthesized values
 /// themselves ("shared", as published; it ignores that the alignment takes the rigid motion out of d but not out of v).
-/// With target "ground_truth" d_k is the simulated one. No kinematic loss for F = 1 or weight 0.
+/// With target "ground_truth" d_k is the simulated one. No kinematic loss for F = 1, weight 0, or
+/// an answer without velocities.
 ///
 /// The losses on vertices (0 where their weight is) read both images as the conversion does: x = base + sum_k w_k d_k
 /// in metres, in the frame of the alignment. Means over all images and V vertices or E edges, L_c the mean range of the

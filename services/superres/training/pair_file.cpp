@@ -38,7 +38,7 @@ struct Layout {
       : input_image(inputs_of(key).image_bytes()), answer_image(answers_of(key).image_bytes()) {
     const auto frames = static_cast<std::size_t>(key.frames);
     rotations = sizeof(Header);
-    inputs = rotations + frames * 9 * sizeof(float);
+    inputs = rotations + frames * sizeof(RotationRows);
     answers = inputs + frames * input_image;
     end = answers + frames * answer_image;
   }
@@ -84,8 +84,7 @@ void PairFileWriter::write(const void* data, std::size_t bytes, std::size_t offs
   }
 }
 
-void PairFileWriter::append(std::span<const float> input, std::span<const float> answer,
-                            const std::array<float, 9>& rotation) {
+void PairFileWriter::append(std::span<const float> input, std::span<const float> answer, const RotationRows& rotation) {
   const Layout layout(key_);
   if (count_ >= key_.frames || input.size_bytes() != layout.input_image) throw_internal("pair file: another size");
   ImageStore store = answers_of(key_);
@@ -119,7 +118,7 @@ bool map_pair_file(const std::filesystem::path& path, const PairFileKey& key, Pa
   if (std::memcmp(owner.get(), &expected, sizeof expected) != 0) return false;
   const auto frames = static_cast<std::size_t>(key.frames);
   sequence.rotations.resize(frames);
-  std::memcpy(sequence.rotations.data(), owner.get() + layout.rotations, frames * 9 * sizeof(float));
+  std::memcpy(sequence.rotations.data(), owner.get() + layout.rotations, frames * sizeof(RotationRows));
   sequence.input =
       ImageStore(key.input_channels, key.height, key.width, {}, frames, {owner, owner.get() + layout.inputs});
   sequence.answer = ImageStore(key.answer_channels, key.scale * key.height, key.scale * key.width, key.fixed_point,

@@ -29,8 +29,8 @@ class PairFileWriter {
   PairFileWriter(const PairFileWriter&) = delete;
   PairFileWriter& operator=(const PairFileWriter&) = delete;
 
-  /// The next frame: input (C, h, w), answer (C', H, W), rotation row-major.
-  void append(std::span<const float> input, std::span<const float> answer, const std::array<float, 9>& rotation);
+  /// The next frame: input (C, h, w), answer (C', H, W).
+  void append(std::span<const float> input, std::span<const float> answer, const RotationRows& rotation);
   /// Needs all frames.
   void finish();
 

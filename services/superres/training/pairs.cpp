@@ -51,14 +51,9 @@ void ImageStore::read(std::size_t index, int row, int column, int height, int wi
   }
 }
 
-bool PairData::has_axes() const {
-  const auto* image = std::get_if<conversion::GeometryImageSpec>(&representation.kind);
-  return image != nullptr && image->layout == conversion::ImageLayout::kDetail;
-}
+bool PairData::has_axes() const { return conversion::answer_form(representation).own_axes; }
 
-bool PairData::detail() const {
-  return has_axes() || std::holds_alternative<conversion::VertexFeatureSpec>(representation.kind);
-}
+bool PairData::detail() const { return conversion::answer_form(representation).detail; }
 
 std::size_t PairData::training_frames() const {
   std::size_t frames = 0;

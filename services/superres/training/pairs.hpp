@@ -80,19 +80,22 @@ struct MeshRead {
   std::int64_t vertex_count() const { return static_cast<std::int64_t>(rest.size() / 3); }
 };
 
+/// A rotation's matrix, row-major.
+using RotationRows = std::array<float, 3 * 3>;
+
 /// One sequence of consecutive frames.
 struct PairSequence {
   std::string name;
   bool validation = false;
-  ImageStore input, answer;                     ///< normalised, one image a frame; inputs are kept exactly
-  std::vector<std::array<float, 9>> rotations;  ///< of the rigid alignment (world to rest), row-major, per frame
+  ImageStore input, answer;             ///< normalised, one image a frame; inputs are kept exactly
+  std::vector<RotationRows> rotations;  ///< of the rigid alignment (world to rest), per frame
 };
 
 /// What losses on vertices need of a frame, for representations in which it is not the same for all.
 class FrameGeometry {
  public:
   virtual ~FrameGeometry() = default;
-  /// The axes of the answer's vectors at each place of the input (9, h, w).
+  /// The axes of the answer's vectors at each place of the input (3 x 3, h, w).
   virtual void axes(std::size_t sequence, std::size_t frame, Tensor& axes) const = 0;
   /// The fine mesh that an answer of zeros means, in the alignment's axes (V x 3).
   virtual void base(std::size_t sequence, std::size_t frame, Positions& positions) const = 0;

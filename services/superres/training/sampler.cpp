@@ -136,7 +136,7 @@ void Sampler::read_vertices(std::size_t sequence, std::size_t frame, Batch& batc
   if (!batch.axes.defined()) return;
   Tensor axes;
   data_.geometry->axes(sequence, frame, axes);
-  batch.axes[n].copy_(torch::from_blob(axes.values.data(), {9, data_.height(), data_.width()}, torch::kFloat32));
+  batch.axes[n].copy_(torch::from_blob(axes.values.data(), batch.axes[n].sizes(), torch::kFloat32));
 }
 
 Batch Sampler::batch(int epoch, int step, int first_window, int last_window) const {
@@ -152,7 +152,7 @@ Batch Sampler::batch(int epoch, int step, int first_window, int last_window) con
   batch.rotations = torch::empty({images, 3, 3});
   if (rest_.defined()) {
     batch.vertex_base = torch::empty({images, 3, rest_.size(1)});
-    if (data_.geometry && data_.has_axes()) batch.axes = torch::empty({images, 9, h, w});
+    if (data_.geometry && data_.has_axes()) batch.axes = torch::empty({images, 3 * 3, h, w});
   }
   for (int index = first_window; index < last_window; ++index) {
     const Window& window = windows[static_cast<std::size_t>(index)];

@@ -18,6 +18,7 @@
 #include "common/base/parallel.hpp"
 #include "common/base/statistics.hpp"
 #include "common/base/whole_file.hpp"
+#include "common/features/channels.hpp"
 #include "services/superres/bundle/bundle.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/communicator.hpp"
@@ -213,6 +214,8 @@ class Trainer {
     constants_.offset = torch::tensor(data_.output_ranges.offset).to(device_);
     constants_.scale = torch::tensor(data_.output_ranges.scale).to(device_);
     constants_.deviation = torch::tensor(measure_deviation(data_)).to(device_);
+    constants_.normal = find_frame_channels(data_.answer_channels, kNormalChannel);
+    constants_.velocity = find_frame_channels(data_.answer_channels, kVelocityChannel);
     constants_.frame_time_s = data_.frame_time_s;
     if (config_.losses.needs_vertices()) constants_.set_vertices(data_.mesh_read, device_);
   }
@@ -464,7 +467,7 @@ class Trainer {
     report.validated = true;
     const double image_error = errors[0].item<double>();
     report.psnr_db = decibel(image_error / count);
-    if (data_.sequences.front().answer.channels() == 9) {
+    if (constants_.normal >= 0 && constants_.velocity >= 0) {
       report.psnr_normal_db = decibel(errors[1].item<double>() / count);
       report.psnr_velocity_db = decibel(errors[2].item<double>() / count);
     }

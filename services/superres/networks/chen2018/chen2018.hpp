@@ -1,4 +1,4 @@
-// Chen et al. 2018, [MFSR]'s reference [13]: residual blocks, two sub-pixel stages, one convolution.
+// Chen et al. 2018, [MFSR]'s reference [13]: residual blocks, sub-pixel stages of factor two, one convolution.
 // It was made for positions alone: layout "positions".
 #pragma once
 
@@ -7,7 +7,8 @@
 
 namespace pleat::superres {
 
-/// Options: blocks 16, features 64. Throws kInvalidArgument for a scale that is not four.
+/// Options: blocks 16, features 64. As many stages as the scale has (two as published). Throws kInvalidArgument for a
+/// scale that is no power of two.
 Description describe_chen2018(Options& options, const Ports& ports);
 
 }  // namespace pleat::superres

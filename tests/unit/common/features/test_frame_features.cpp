@@ -37,6 +37,9 @@ TEST(FrameFeatures, HaveNineNames) {
   ASSERT_EQ(frame_channel_names().size(), static_cast<std::size_t>(kFrameChannels));
   EXPECT_EQ(frame_channel_names()[kNormalChannel], "normal_x");
   EXPECT_EQ(frame_channel_names()[kVelocityChannel + 2], "velocity_z");
+  EXPECT_EQ(find_frame_channels(frame_channel_names(), kVelocityChannel), kVelocityChannel);
+  EXPECT_EQ(find_frame_channels({"detail_x", "normal_x"}, kNormalChannel), 1);
+  EXPECT_EQ(find_frame_channels({"detail_x", "detail_y"}, kDisplacementChannel), -1);
 }
 
 TEST(BackwardVelocities, AreDifferencesOverTime) {

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <map>
 #include <utility>
 
@@ -66,6 +68,42 @@ TEST_P(EveryLayout, TheTargetDecodesToTheFineMesh) {
   // Where charts end, axes next to padding may have collapsed: details there are not quite what they should be.
   const bool turned = std::get<GeometryImageSpec>(GetParam().kind).layout == ImageLayout::kDetail;
   EXPECT_LT(test::rms(back, pair.fine.positions), turned ? 2e-5 : 2e-6);
+}
+
+void expect_form(const Representation& made) {
+  const AnswerForm form = answer_form(made.spec());
+  const auto input = made.input_shape(), answer = made.answer_shape();
+  EXPECT_EQ(answer.at(1), form.scale * input.at(1));
+  EXPECT_EQ(answer.at(2), form.scale * input.at(2));
+  if (form.input_size) EXPECT_EQ(*form.input_size, (std::array{input[1], input[2]}));
+  const Pair pair = wrinkled(made, 0.4f);
+  const RigidTransform alignment = made.align(pair.coarse.positions);
+  Tensor answer_of_pair, axes;
+  made.answer_axes(pair.coarse.positions, alignment, axes);
+  EXPECT_EQ(!axes.shape.empty(), form.own_axes);
+  made.target(pair.coarse, pair.fine, alignment, answer_of_pair);
+  if (form.first_three) {
+    const auto first = static_cast<std::ptrdiff_t>(3 * made.answer_mask().size());
+    Positions whole, part;
+    made.decode(answer_of_pair, pair.coarse.positions, alignment, whole);
+    std::fill(answer_of_pair.values.begin() + first, answer_of_pair.values.end(), 0.7f);
+    made.decode(answer_of_pair, pair.coarse.positions, alignment, part);
+    EXPECT_EQ(whole, part);
+  }
+  if (form.detail) {
+    Positions zero;
+    std::fill(answer_of_pair.values.begin(), answer_of_pair.values.end(), 0.0f);
+    made.decode(answer_of_pair, pair.coarse.positions, alignment, zero);
+    EXPECT_LT(test::rms(zero, upsample(made.subdivision(), made.coarse().faces, pair.coarse.positions)), 2e-3);
+  }
+}
+
+TEST_P(EveryLayout, IsOfTheFormThatItsSpecSays) { expect_form(*made_); }
+
+TEST(VertexLayout, IsOfTheFormThatItsSpecSays) {
+  RepresentationSpec spec;
+  spec.kind = VertexFeatureSpec{};
+  expect_form(*make_representation(test::load_garment("skirt").coarse, spec));
 }
 
 TEST_P(EveryLayout, DecodingIsTheBasePlusTheReads) {

@@ -367,7 +367,7 @@ INSTANTIATE_TEST_SUITE_P(All, NetworkVariants,
                                          describe({"chen2018", R"({"blocks": 2, "features": 6})"}, {3, 3, 4, false})));
 
 TEST(Network, PublishedSizesHaveTheExpectedNumberOfParameters) {
-  const Network network(describe({}, {}), 1);
+  const Network network(describe({}, {9, 9, 4, false}), 1);
   // Counted by hand from the figure: shallow, 16 blocks of 6 layers with fusion, global fusion, heads.
   const auto conv = [](std::int64_t in, std::int64_t out, std::int64_t k) { return in * out * k * k + out; };
   std::int64_t expected =

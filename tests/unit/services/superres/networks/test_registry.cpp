@@ -43,11 +43,14 @@ TEST(Registry, NamesWhatItRefuses) {
 
 TEST(Registry, PortsDecideTheEnds) {
   for (const std::string& kind : network_kinds()) {
-    const Description network = describe({kind, R"({"blocks": 1, "features": 8})"}, {17, 3, 4, true});
-    EXPECT_EQ(network.inputs, 17);
-    EXPECT_EQ(network.outputs(), 3);
-    EXPECT_EQ(network.sizes({5, 7}).back(), (Size{20, 28})) << kind;
+    for (const int scale : {1, 2, 4, 8}) {
+      const Description network = describe({kind, R"({"blocks": 1, "features": 8})"}, {17, 3, scale, true});
+      EXPECT_EQ(network.inputs, 17);
+      EXPECT_EQ(network.outputs(), 3);
+      EXPECT_EQ(network.sizes({5, 7}).back(), (Size{scale * 5, scale * 7})) << kind;
+    }
   }
+  EXPECT_THROW(describe({"chen2018", "{}"}, {3, 3, 3, false}), Error);
 }
 
 }  // namespace

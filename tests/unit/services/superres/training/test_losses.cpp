@@ -5,6 +5,7 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
+#include "common/features/channels.hpp"
 #include "services/superres/training/losses.hpp"
 
 namespace pleat::superres {
@@ -40,6 +41,7 @@ LossConstants example_constants() {
   c.offset = torch::linspace(-2, -1, 9, torch::kFloat64);
   c.scale = torch::linspace(1, 3, 9, torch::kFloat64);
   c.deviation = torch::linspace(0.1, 0.5, 9, torch::kFloat64);
+  c.normal = kNormalChannel, c.velocity = kVelocityChannel;
   c.frame_time_s = kFrameTime;
   return c;
 }
@@ -324,6 +326,7 @@ TEST(VertexLosses, AnswersInOtherAxes) {
   add_vertices(example_read(), batch, constants);
   constants.offset = torch::zeros({3}, torch::kFloat64), constants.scale = torch::full({3}, 0.5, torch::kFloat64);
   constants.deviation = torch::ones({3}, torch::kFloat64);
+  constants.normal = constants.velocity = -1;
   LossConfig config;
   config.vertices = config.vertex_normals = config.edges = 1;
   batch.answer = batch.answer.slice(1, 0, 3);
