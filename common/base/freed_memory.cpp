@@ -1,5 +1,7 @@
 #include "common/base/freed_memory.hpp"
 
+#include <cstdlib>  // says which C library it is
+
 #ifdef __GLIBC__
 #include <malloc.h>
 #endif

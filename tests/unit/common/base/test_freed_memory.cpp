@@ -3,8 +3,9 @@
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
-#include <cstring>
+#include <array>
 #include <memory>
+#include <thread>
 
 namespace pleat {
 namespace {
@@ -15,13 +16,15 @@ long page_faults() {
   return usage.ru_minflt;
 }
 
-/// Takes and frees an array as large as a fine mesh of 180,000 vertices.
+/// Takes and frees arrays as large as fine meshes of 180,000 vertices: together more than the allocator keeps by
+/// itself, which is twice the largest.
 void touch_and_free() {
-  constexpr std::size_t kBytes = 180'000 * 3 * 8;
-  const auto array = std::make_unique<unsigned char[]>(kBytes);
+  constexpr std::size_t kBytes = 180'000 * 3 * 4;
+  std::array<std::unique_ptr<unsigned char[]>, 4> arrays;
+  for (auto& array : arrays) array = std::make_unique<unsigned char[]>(kBytes);
   // Read back, so that nobody leaves it out.
   volatile unsigned char sum = 0;
-  for (std::size_t i = 0; i < kBytes; i += 4096) sum = sum + array[i];
+  for (const auto& array : arrays) sum = sum + array[kBytes / 2];
 }
 
 TEST(FreedMemory, IsTakenAgainWithoutTouchingNewPages) {
@@ -29,11 +32,16 @@ TEST(FreedMemory, IsTakenAgainWithoutTouchingNewPages) {
   GTEST_SKIP() << "the sanitizer's own allocator";
 #endif
   keep_freed_memory();
-  touch_and_free();
-  touch_and_free();
-  const long before = page_faults();
-  for (int i = 0; i < 20; ++i) touch_and_free();
-  EXPECT_LT(page_faults() - before, 1000) << "one array has 1,054 pages";
+  long faults = 0;
+  // The threads of a service have memory of their own, which the allocator gives back sooner.
+  std::thread([&] {
+    touch_and_free();
+    touch_and_free();
+    const long before = page_faults();
+    for (int i = 0; i < 20; ++i) touch_and_free();
+    faults = page_faults() - before;
+  }).join();
+  EXPECT_LT(faults, 1000) << "one array has 527 pages";
 }
 
 }  // namespace
