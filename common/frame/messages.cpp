@@ -4,7 +4,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstring>
 #include <span>
+
+#ifdef __F16C__
+#include <immintrin.h>
+#endif
 
 #include "common/base/checks.hpp"
 
@@ -42,14 +47,40 @@ Eigen::Vector3f vector_of(const google::protobuf::RepeatedField<float>& values, 
   return {values[0], values[1], values[2]};
 }
 
-using Floats = Eigen::Map<Eigen::ArrayXf>;
-using ConstFloats = Eigen::Map<const Eigen::ArrayXf>;
-
 /// bfloat16 is the upper half of a float32; rounded to the nearest, ties to even.
 std::uint16_t to_bfloat16(float value) {
   const auto bits = std::bit_cast<std::uint32_t>(value);
   if ((bits & 0x7fffffffu) > 0x7f800000u) return static_cast<std::uint16_t>((bits >> 16) | 0x40u);
   return static_cast<std::uint16_t>((bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16);
+}
+
+/// Eight values at a time where the processor can; Eigen's own takes twenty times as long, with the same result.
+void to_halves(std::span<const float> values, Eigen::half* halves) {
+  std::size_t i = 0;
+#ifdef __F16C__
+  for (; i + 8 <= values.size(); i += 8) {
+    const __m128i eight = _mm256_cvtps_ph(_mm256_loadu_ps(values.data() + i), _MM_FROUND_TO_NEAREST_INT);
+    std::memcpy(static_cast<void*>(halves + i), &eight, sizeof(eight));
+  }
+#endif
+  for (; i < values.size(); ++i) halves[i] = Eigen::half(values[i]);
+}
+
+/// values.size() halves, which need not be aligned.
+void from_halves(const char* bytes, std::span<float> values) {
+  std::size_t i = 0;
+#ifdef __F16C__
+  for (; i + 8 <= values.size(); i += 8) {
+    __m128i eight;
+    std::memcpy(&eight, bytes + 2 * i, sizeof(eight));
+    _mm256_storeu_ps(values.data() + i, _mm256_cvtph_ps(eight));
+  }
+#endif
+  for (; i < values.size(); ++i) {
+    Eigen::half one;
+    std::memcpy(static_cast<void*>(&one), bytes + 2 * i, sizeof(one));
+    values[i] = static_cast<float>(one);
+  }
 }
 
 /// Block by block: a string that grows first is filled with zeros first, and that costs as much again.
@@ -82,7 +113,6 @@ void check_count(const v1::Tensor& message, std::uint64_t count, const std::stri
 
 /// Values of any type -> float32. values: as many as the shape says.
 void read_values(const v1::Tensor& message, std::vector<float>& values, const std::string& field) {
-  const auto size = static_cast<Eigen::Index>(values.size());
   const char* bytes = message.data().data();
   switch (message.dtype()) {
     case v1::Tensor::DTYPE_FLOAT32:
@@ -93,10 +123,7 @@ void read_values(const v1::Tensor& message, std::vector<float>& values, const st
       }
       return;
     case v1::Tensor::DTYPE_FLOAT16:
-      Floats(values.data(), size) = Eigen::Map<const Eigen::Array<Eigen::half, Eigen::Dynamic, 1>>(
-                                        reinterpret_cast<const Eigen::half*>(bytes), size)
-                                        .cast<float>();
-      return;
+      return from_halves(bytes, values);
     case v1::Tensor::DTYPE_BFLOAT16:
       for (std::size_t i = 0; i < values.size(); ++i) {
         std::uint16_t upper = 0;
@@ -340,14 +367,7 @@ void to_payload(const Tensor& tensor, v1::Tensor::DType dtype, v1::Tensor* messa
   data.reserve(tensor.values.size() * value_bytes(dtype));
   switch (dtype) {
     case v1::Tensor::DTYPE_FLOAT16:
-      return append_halves<Eigen::half>(
-          tensor.values,
-          [](std::span<const float> values, Eigen::half* halves) {
-            const auto size = static_cast<Eigen::Index>(values.size());
-            Eigen::Map<Eigen::Array<Eigen::half, Eigen::Dynamic, 1>>(halves, size) =
-                ConstFloats(values.data(), size).cast<Eigen::half>();
-          },
-          data);
+      return append_halves<Eigen::half>(tensor.values, to_halves, data);
     case v1::Tensor::DTYPE_BFLOAT16:
       return append_halves<std::uint16_t>(
           tensor.values,

@@ -252,6 +252,27 @@ TEST(Messages, Bfloat16RoundsToTheNearest) {
   EXPECT_NEAR(back.values[2], -3.0e38f, 1e36f);
 }
 
+TEST(Messages, HalvesAreRoundedAsEigenRoundsThem) {
+  // Every half, values between two of them, and beyond both ends; a number of values that is no multiple of eight.
+  Tensor tensor;
+  for (std::uint32_t bits = 0; bits < 0x10000; ++bits) {
+    const auto half = Eigen::numext::bit_cast<Eigen::half>(static_cast<std::uint16_t>(bits));
+    if (!(Eigen::numext::isfinite)(half)) continue;
+    for (const float factor : {1.0f, 1.0003f, 1.00048828125f})
+      tensor.values.push_back(static_cast<float>(half) * factor);
+  }
+  for (const float value : {1e30f, -1e30f, 1e-30f, -0.0f, 65519.9f}) tensor.values.push_back(value);
+  ASSERT_NE(tensor.values.size() % 8, 0u);
+  tensor.shape = {static_cast<std::int64_t>(tensor.values.size())};
+  v1::Tensor message;
+  to_payload(tensor, v1::Tensor::DTYPE_FLOAT16, &message);
+  Tensor back;
+  from_payload(message, "tensor", &back);
+  for (std::size_t i = 0; i < tensor.values.size(); ++i) {
+    ASSERT_EQ(back.values[i], static_cast<float>(Eigen::half(tensor.values[i]))) << tensor.values[i];
+  }
+}
+
 TEST(Messages, TensorIsChecked) {
   const v1::Tensor good = to_message(Tensor{{2, 2}, {"a", "b"}, {1, 2, 3, 4}});
   v1::Tensor bad = good;
