@@ -5,6 +5,7 @@
 #include <sched.h>
 #include <sys/mman.h>
 #include <sys/random.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -32,6 +33,12 @@ std::uint32_t slots_of(std::uint32_t window) { return std::min(window + 1, kMaxS
 
 /// Pages that nobody has written to take no memory.
 std::size_t bytes_of(std::uint32_t slots) { return kLayoutBytes + 2 * std::size_t{slots} * kSlotBytes; }
+
+/// Whether this process may have a file of that size; to make one that is larger ends it.
+bool may_be_as_large(std::size_t bytes) {
+  rlimit limit{};
+  return ::getrlimit(RLIMIT_FSIZE, &limit) == 0 && (limit.rlim_cur == RLIM_INFINITY || bytes <= limit.rlim_cur);
+}
 
 void* map(int descriptor, std::size_t bytes) {
   void* const memory = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, descriptor, 0);
@@ -191,6 +198,7 @@ std::unique_ptr<SharedFrames> SharedFrames::offer(std::uint32_t window) {
   static_assert(std::atomic<std::uint32_t>::is_always_lock_free && std::atomic<std::uint64_t>::is_always_lock_free);
   const std::uint32_t slots = slots_of(window);
   const std::size_t bytes = bytes_of(slots);
+  if (!may_be_as_large(bytes)) return nullptr;
   const int descriptor = ::memfd_create("pleat-frames", MFD_CLOEXEC | MFD_ALLOW_SEALING);
   if (descriptor < 0) return nullptr;
   std::array<std::uint64_t, 2> token{};

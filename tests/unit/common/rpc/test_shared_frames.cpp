@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sched.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -142,6 +143,18 @@ TEST(SharedFrames, OnlyWhatWasOfferedIsAccepted) {
             nullptr);
   ::close(file);
   EXPECT_NE(SharedFrames::accept(ticket, 4), nullptr);
+}
+
+TEST(SharedFrames, AProcessThatMayHaveNoLargeFileHasNone) {
+  const pid_t child = fork();
+  if (child == 0) {
+    const rlimit limit{1 << 20, 1 << 20};
+    setrlimit(RLIMIT_FSIZE, &limit);
+    _exit(SharedFrames::offer(4) == nullptr ? 0 : 1);
+  }
+  int status = -1;
+  ASSERT_EQ(::waitpid(child, &status, 0), child);
+  EXPECT_EQ(status, 0) << "not killed, and nothing offered";
 }
 
 TEST(SharedFrames, WithdrawnNobodyCanTakeThemUp) {
