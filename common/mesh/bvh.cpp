@@ -10,12 +10,14 @@ namespace pleat {
 
 Bvh::Bvh(std::span<const Box> boxes) {
   if (boxes.empty()) return;
+  if (boxes.size() > kLeaf) throw_internal("Bvh: more than 2^31 elements");
   nodes_.reserve(2 * boxes.size() - 1);
   leaf_of_.resize(boxes.size());
   std::vector<std::uint32_t> elements(boxes.size());
   std::iota(elements.begin(), elements.end(), 0u);
   build(boxes, elements);
   boxes_.resize(nodes_.size());
+  widen(0);
   refit(boxes);
 }
 
@@ -50,6 +52,41 @@ std::uint32_t Bvh::build(std::span<const Box> boxes, std::span<std::uint32_t> el
   return node;
 }
 
+std::uint32_t Bvh::widen(std::uint32_t node) {
+  const auto index = static_cast<std::uint32_t>(wide_.size());
+  WideNode wide{};
+  int count = 0;
+  const auto gather = [&](auto& self, std::uint32_t at, int levels) -> void {
+    if (levels == 0 || nodes_[at].element != kInner) {
+      wide.node[count++] = at;
+      return;
+    }
+    self(self, at + 1, levels - 1);
+    self(self, nodes_[at].right, levels - 1);
+  };
+  gather(gather, node, 3);
+  wide.lanes = (1u << count) - 1;
+  wide_.emplace_back();
+  for (int lane = 0; lane < count; ++lane) {
+    const std::uint32_t element = nodes_[wide.node[lane]].element;
+    wide.child[lane] = element != kInner ? element | kLeaf : widen(wide.node[lane]);
+  }
+  wide_[index] = wide;
+  return index;
+}
+
+void Bvh::refit_wide() {
+  for (WideNode& wide : wide_) {
+    for (int lane = 0; (wide.lanes >> lane) != 0; ++lane) {
+      const Box& box = boxes_[wide.node[lane]];
+      for (int k = 0; k < 3; ++k) {
+        wide.lower[k][lane] = box.lower[k];
+        wide.upper[k][lane] = box.upper[k];
+      }
+    }
+  }
+}
+
 void Bvh::refit(std::span<const Box> boxes) {
   if (boxes.size() != leaf_of_.size()) throw_internal("Bvh::refit: another number of elements");
   // Children come after their parents, so that one backward pass suffices.
@@ -62,6 +99,7 @@ void Bvh::refit(std::span<const Box> boxes) {
       boxes_[node] = box;
     }
   }
+  refit_wide();
 }
 
 std::vector<Bvh::Pair> Bvh::self_pair_parts(int levels) const {

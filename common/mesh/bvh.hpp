@@ -3,12 +3,15 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <limits>
 #include <span>
 #include <utility>
 #include <vector>
 
 #include "common/base/parallel.hpp"
+#include "common/base/simd.hpp"
 
 namespace pleat {
 
@@ -133,22 +136,32 @@ class Bvh {
   template <typename Visit>
   void nearest(const Eigen::Vector3d& p, double bound, const Visit& visit) const {
     if (empty()) return;
-    constexpr double kSlack = 1 + 1e-12;
-    std::pair<std::uint32_t, double> stack[64];
+    const NearPoint point(p);
+    struct Entry {
+      std::uint32_t child;
+      float distance;
+    };
+    Entry stack[kStack];
     int size = 0;
-    stack[size++] = {0, squared_distance(boxes_[0], p)};
+    stack[size++] = {0, 0};
     while (size > 0) {
-      const auto [node, distance] = stack[--size];
-      if (distance > bound * kSlack) continue;
-      if (nodes_[node].element != kInner) {
-        bound = visit(nodes_[node].element);
+      const Entry entry = stack[--size];
+      if (entry.distance > rounded_up(bound)) continue;
+      if ((entry.child & kLeaf) != 0) {
+        bound = visit(entry.child & ~kLeaf);
         continue;
       }
-      const std::uint32_t left = node + 1, right = nodes_[node].right;
-      const double to_left = squared_distance(boxes_[left], p), to_right = squared_distance(boxes_[right], p);
-      const bool left_first = to_left <= to_right;
-      stack[size++] = left_first ? std::pair(right, to_right) : std::pair(left, to_left);
-      stack[size++] = left_first ? std::pair(left, to_left) : std::pair(right, to_right);
+      const WideNode& node = wide_[entry.child];
+      const Float8 distances = point.squared_distances(node);
+      std::uint32_t lanes = bits(distances <= broadcast8(rounded_up(bound))) & node.lanes;
+      const int first = size;
+      for (; lanes != 0; lanes &= lanes - 1) {
+        const int lane = __builtin_ctz(lanes);
+        const Entry child{node.child[lane], distances[lane]};
+        int place = size++;  // the nearest one on top
+        for (; place > first && stack[place - 1].distance < child.distance; --place) stack[place] = stack[place - 1];
+        stack[place] = child;
+      }
     }
   }
 
@@ -156,17 +169,25 @@ class Bvh {
   template <typename Visit>
   void query(const Box& box, const Visit& visit) const {
     if (empty()) return;
-    std::uint32_t stack[64];
+    std::uint32_t stack[kStack];
     int size = 0;
     stack[size++] = 0;
     while (size > 0) {
-      const std::uint32_t node = stack[--size];
-      if (!boxes_[node].overlaps(box)) continue;
-      if (nodes_[node].element != kInner) {
-        visit(nodes_[node].element);
-      } else {
-        stack[size++] = nodes_[node].right;
-        stack[size++] = node + 1;
+      const std::uint32_t child = stack[--size];
+      if ((child & kLeaf) != 0) {
+        visit(child & ~kLeaf);
+        continue;
+      }
+      const WideNode& node = wide_[child];
+      Int8 overlap = node.lower[0] <= broadcast8(box.upper[0]);
+      overlap &= node.upper[0] >= broadcast8(box.lower[0]);
+      for (int k = 1; k < 3; ++k) {
+        overlap &= (node.lower[k] <= broadcast8(box.upper[k])) & (node.upper[k] >= broadcast8(box.lower[k]));
+      }
+      for (std::uint32_t lanes = bits(overlap) & node.lanes; lanes != 0;) {
+        const int lane = 31 - __builtin_clz(lanes);  // the first one on top
+        lanes ^= 1u << lane;
+        stack[size++] = node.child[lane];
       }
     }
   }
@@ -179,10 +200,49 @@ class Bvh {
     std::uint32_t right = 0;         // of an inner node
   };
 
+  // Three levels of the tree as one node with eight boxes, for nearest() and query(): one comparison for all of them.
+  static constexpr std::uint32_t kLeaf = 0x80000000u;
+  static constexpr int kStack = 128;  // 7 for each three of at most 32 levels, and 8
+  struct WideNode {
+    Float8 lower[3], upper[3];
+    std::uint32_t child[8];  // a wide node, or an element with kLeaf; in the tree's order
+    std::uint32_t node[8];   // of the tree
+    std::uint32_t lanes;     // a bit for each child
+  };
+  // Distances of a double point to float boxes, in float, rounded down.
+  class NearPoint {
+   public:
+    explicit NearPoint(const Eigen::Vector3d& p) {
+      for (int k = 0; k < 3; ++k) {
+        p_[k] = broadcast8(static_cast<float>(p[k]));
+        slack_[k] = broadcast8(1.3e-7f * std::abs(p_[k][0]));
+      }
+    }
+    Float8 squared_distances(const WideNode& node) const {
+      Float8 sum{};
+      for (int k = 0; k < 3; ++k) {
+        const Float8 outside = max(node.lower[k] - p_[k], p_[k] - node.upper[k]);
+        const Float8 least = max((1 - 2e-7f) * outside - slack_[k], Float8{});
+        sum += least * least;
+      }
+      return (1 - 4e-7f) * sum;
+    }
+
+   private:
+    Float8 p_[3], slack_[3];
+  };
+  static float rounded_up(double bound) {
+    constexpr double kMost = 3.4e38;
+    return bound < kMost ? static_cast<float>((1 + 1.3e-7) * bound) : std::numeric_limits<float>::infinity();
+  }
+
   std::uint32_t build(std::span<const Box> boxes, std::span<std::uint32_t> elements);
+  std::uint32_t widen(std::uint32_t node);
+  void refit_wide();
 
   std::vector<Node> nodes_;
-  std::vector<Box> boxes_;              // one per node
+  std::vector<Box> boxes_;  // one per node
+  std::vector<WideNode> wide_;
   std::vector<std::uint32_t> leaf_of_;  // node of an element
 };
 

@@ -4,6 +4,7 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <numeric>
 #include <string>
 #include <utility>
 #include <vector>
@@ -38,9 +39,10 @@ constexpr float kDetailDamping = 4;  // 1/s, of motion beside the coarse cloth's
 constexpr std::size_t kMostTangles = 20'000;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
-constexpr double kObstacleReach = 0.02;  // m, within a frame, beside the coarse cloth's motion
-constexpr double kObstacleDepth = 0.06;  // m: who is deeper inside a mesh is left to refinement
-constexpr float kLayerReach = 0.02f;     // m
+constexpr double kObstacleReach = 0.02;                  // m, within a frame, beside the coarse cloth's motion
+constexpr double kObstacleDepth = 0.06;                  // m: who is deeper inside a mesh is left to refinement
+constexpr double kTouchNear = 0.008, kTouchFar = 0.016;  // m: nearer than that coarse cloth touches, farther not
+constexpr float kLayerReach = 0.02f;                     // m
 
 double milliseconds(Clock::time_point from) {
   return std::chrono::duration<double, std::milli>(Clock::now() - from).count();
@@ -100,6 +102,8 @@ struct FoldStep::Work {
   std::vector<float> tangled, wider;
   std::vector<ObstaclePlane> planes;
   std::vector<Box> near_obstacles;
+  std::vector<std::uint32_t> by_face, face_begin;  // fine vertices by their coarse face
+  std::vector<float> touching;                     // per coarse vertex: 1 on an obstacle, 0 away from all
 
   Work(const Topology& c, const Subdivision& s, std::span<const ObstacleShape> shapes, const FoldOptions& o)
       : options((check_options(o, c), o)),
@@ -122,11 +126,22 @@ struct FoldStep::Work {
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
     hinges = HingePacks(std::move(bending), count);
     for (const float mass : masses) inverse_masses.push_back(1 / mass);
+    sort_by_face();
+    touching.assign(coarse_count, 0);
     tangled.assign(count, 0);
     fixed.assign(count, 0);
     fixed_before.assign(count, 1);  // so that the first frame sets the step
     for (auto* buffer : {&x, &v, &before, &expected, &from, &way, &given, &normals, &moved})
       buffer->assign(count + 1, Float4{});
+  }
+
+  void sort_by_face() {
+    face_begin.assign(static_cast<std::size_t>(coarse.face_count()) + 1, 0);
+    for (const std::uint32_t face : subdivision.parent_face) ++face_begin[face + 1];
+    std::partial_sum(face_begin.begin(), face_begin.end(), face_begin.begin());
+    std::vector<std::uint32_t> next(face_begin.begin(), face_begin.end() - 1);
+    by_face.resize(count);
+    for (std::uint32_t i = 0; i < count; ++i) by_face[next[subdivision.parent_face[i]]++] = i;
   }
 
   void check(const FoldFrame& frame, const FoldState& state) const {
@@ -226,25 +241,55 @@ struct FoldStep::Work {
     for (Float4& normal : normals) normal /= std::sqrt(dot(normal, normal)) + 1e-20f;
   }
 
-  // Of where the cloth would be at the end of the frame if it went along with the coarse one.
+  Eigen::Vector3d point_at(const Eigen::Vector3d& origin, Float4 p) const {
+    return origin + Eigen::Vector3d(static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2]));
+  }
+
+  // Where the coarse cloth lies on an obstacle, it has met its friction: the fine cloth stays there with it.
+  void find_touching(const Positions& frame_positions) {
+    std::fill(touching.begin(), touching.end(), 0.0f);
+    if (obstacles.empty()) return;
+    for (std::uint32_t c = 0; c < coarse_count; ++c) {
+      const auto contact = obstacles.contact_near(frame_positions.row(c).cast<double>(), kTouchFar, kTouchFar);
+      if (!contact) continue;
+      touching[c] =
+          static_cast<float>(std::clamp((kTouchFar - contact->distance) / (kTouchFar - kTouchNear), 0.0, 1.0));
+    }
+  }
+
+  // Of where the cloth would be at the end of the frame if it went along with the coarse one. Coarse face by coarse
+  // face: a ball around its fine vertices tells mostly that none of them is near.
   void find_planes(const Eigen::Vector3d& origin) {
     planes.clear();
     if (obstacles.empty()) return;
     near_obstacles.clear();
     obstacles.append_bounds(kObstacleReach, near_obstacles);
-    for (std::uint32_t i = 0; i < count; ++i) {
-      const Float4 end = x[i] + way[i];
-      const Eigen::Vector3d point = origin + Eigen::Vector3d(static_cast<double>(end[0]), static_cast<double>(end[1]),
-                                                             static_cast<double>(end[2]));
+    for (std::size_t face = 0; face + 1 < face_begin.size(); ++face) {
+      const std::span<const std::uint32_t> members =
+          std::span(by_face).subspan(face_begin[face], face_begin[face + 1] - face_begin[face]);
+      if (members.empty()) continue;
+      Float4 middle{};
+      for (const std::uint32_t i : members) middle += x[i] + way[i];
+      middle /= static_cast<float>(members.size());
+      float squared = 0;
+      for (const std::uint32_t i : members) {
+        const Float4 offset = x[i] + way[i] - middle;
+        squared = std::max(squared, dot(offset, offset));
+      }
+      const double radius = 1.001 * std::sqrt(static_cast<double>(squared)) + 1e-6;
       Box place;
-      place.extend(point);
-      if (std::none_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); })) {
+      place.extend(point_at(origin, middle), radius);
+      if (std::none_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); }) ||
+          !obstacles.contact_near(point_at(origin, middle), radius + kObstacleReach, radius + kObstacleDepth)) {
         continue;
       }
-      const auto contact = obstacles.contact(point, kObstacleReach, kObstacleDepth);
-      if (!contact || contact->distance >= kObstacleReach) continue;
-      const Float4 normal = to_float4(contact->normal);
-      planes.push_back({i, normal, dot(normal, end) + static_cast<float>(options.clearance_m - contact->distance)});
+      for (const std::uint32_t i : members) {
+        const Float4 end = x[i] + way[i];
+        const auto contact = obstacles.contact_near(point_at(origin, end), kObstacleReach, kObstacleDepth);
+        if (!contact || contact->distance >= kObstacleReach) continue;
+        const Float4 normal = to_float4(contact->normal);
+        planes.push_back({i, normal, dot(normal, end) + static_cast<float>(options.clearance_m - contact->distance)});
+      }
     }
   }
 
@@ -314,7 +359,7 @@ struct FoldStep::Work {
           [&](std::uint32_t i) {
             return Tracking::Lack{from[i] + time * way[i] - x[i], inverse * way[i] - v[i]};
           },
-          static_cast<float>(options.frequency));
+          static_cast<float>(options.frequency), touching);
     }
     // The velocity with which a cloth without a state begins has met gravity and air in this frame already.
     const Float4 gravity = restarted ? Float4{} : to_float4(options.gravity);
@@ -353,10 +398,7 @@ struct FoldStep::Work {
     for (const ObstaclePlane& plane : planes) {
       const std::uint32_t i = plane.vertex;
       if (fixed[i]) continue;
-      const Float4 at = x[i];
-      const Eigen::Vector3d point =
-          origin + Eigen::Vector3d(static_cast<double>(at[0]), static_cast<double>(at[1]), static_cast<double>(at[2]));
-      const auto contact = obstacles.contact(point, options.clearance_m, kObstacleReach);
+      const auto contact = obstacles.contact_near(point_at(origin, x[i]), options.clearance_m, kObstacleReach);
       if (!contact || contact->distance >= options.clearance_m) continue;
       x[i] += to_float4((options.clearance_m - contact->distance) * contact->normal);
     }
@@ -400,6 +442,7 @@ FoldReport FoldStep::fold(const FoldFrame& frame, FoldState& state) {
     w.before[i] = w.x[i] + w.way[i];
   }
   w.layer_contacts = w.layers.find(coarse, w.moved, w.before, kLayerReach, static_cast<float>(w.options.thickness_m));
+  w.find_touching(frame.coarse);
   w.find_planes(origin);
   report.contact_ms = milliseconds(contact_start);
   std::fill(w.tangled.begin(), w.tangled.end(), 0.0f);

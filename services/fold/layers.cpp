@@ -148,6 +148,10 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
       most = std::max(most, height);
     }
     if (least >= static_cast<double>(reach) || most <= -static_cast<double>(reach)) return;
+    // All beside the face rather than across, as meet() has it for a vertex: faces around on the same layer.
+    const double beside = (centers_[of] - centers_[face]).norm() - radii_[of] - radii_[face];
+    const double across = std::max(std::abs(least), std::abs(most));
+    if (beside > 0 && across <= kAcross * beside) return;
     for (std::uint32_t k = vertices_of_begin_[of]; k < vertices_of_begin_[of + 1]; ++k) {
       const std::uint32_t v = vertices_of_[k];
       const Float4 p = upsampled[v];

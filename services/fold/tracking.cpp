@@ -15,6 +15,8 @@ namespace {
 // place too, with a frequency that grows to kLargeFrequency (rad/s) at kLargeLack (m). At least critically damped.
 constexpr float kLargeFrequency = 16, kLargeLack = 0.2f, kLargeDamping = 30;
 constexpr int kLargeRounds = 8;
+// Where the coarse cloth lies on an obstacle it has met the friction; critically damped.
+constexpr float kTouchFrequency = 40;  // rad/s
 
 }  // namespace
 
@@ -54,12 +56,14 @@ void Tracking::begin() {
   std::fill(large_.begin(), large_.end(), Float4{});
 }
 
-void Tracking::finish(float frequency) {
+void Tracking::finish(float frequency, std::span<const float> touching) {
   for (std::size_t c = 0; c < averages_.size(); ++c) {
     const float lack = std::sqrt(dot(averages_[c], averages_[c]));
     const float large = kLargeFrequency * std::min(1.0f, lack / kLargeLack);
+    const float touch = kTouchFrequency * touching[c];
+    const Float4 held = touch * touch * averages_[c] + 2 * touch * large_[c];
     large_[c] = large * large * averages_[c] + std::max(kLargeDamping, 2 * large) * large_[c];
-    averages_[c] *= frequency * frequency;
+    averages_[c] = frequency * frequency * averages_[c] + held;
   }
   for (int round = 0; round < kLargeRounds; ++round) {
     for (std::size_t c = 0; c < large_.size(); ++c) {

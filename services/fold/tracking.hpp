@@ -20,12 +20,13 @@ class Tracking {
 
   /// From what the fine vertices lack in place (m) and in velocity (m/s): accelerations for at(). The averages of the
   /// places swing with `frequency` (rad/s), and what is common to many rings is drawn, critically damped, with another
-  /// one of the method's. lack(i) gives both. O(V_fine + V_coarse).
+  /// one of the method's; so is, harder, what touches an obstacle. touching: per coarse vertex, 0 to 1. lack(i) gives
+  /// both. O(V_fine + V_coarse).
   struct Lack {
     Float4 place, velocity;
   };
   template <typename Of>
-  void update(const Of& lack, float frequency) {
+  void update(const Of& lack, float frequency, std::span<const float> touching) {
     begin();
     for (std::uint32_t i = 0; i < corners_.size(); ++i) {
       const Corners& c = corners_[i];
@@ -35,7 +36,7 @@ class Tracking {
         large_[c.coarse[k]] += c.share[k] * l.velocity;
       }
     }
-    finish(frequency);
+    finish(frequency, touching);
   }
 
   /// m/s^2, of a fine vertex.
@@ -47,7 +48,7 @@ class Tracking {
 
  private:
   void begin();
-  void finish(float frequency);
+  void finish(float frequency, std::span<const float> touching);
 
   // Of a fine vertex: coarse corners, their weights, and weights times mass over the mass of the corner's hat.
   struct Corners {

@@ -57,19 +57,21 @@ void ClothContacts::update(const Positions& positions, const ObstacleField& fiel
   scans_.resize(field.parts().size());
   for (std::size_t i = 0; i < scans_.size(); ++i) {
     const ObstacleField::Part& part = field.parts()[i];
-    if (part.present && part.mesh != nullptr) scan(positions, *part.mesh, finder, scans_[i]);
+    if (!part.present || part.mesh == nullptr) continue;
+    std::vector<std::uint32_t>& patches = scans_[i].patches;
+    patches.clear();
+    finder.query_patches(part.mesh->bounds(), [&](std::uint32_t patch) { patches.push_back(patch); });
+    std::sort(patches.begin(), patches.end());
+    scan(positions, *part.mesh, finder, scans_[i]);
   }
 }
 
+// Of scan.patches: which faces meet the surface, and on which side of it the others are.
 void ClothContacts::scan(const Positions& positions, const MeshObstacle& mesh, const SelfIntersectionFinder& finder,
                          MeshScan& scan) {
   scan.crosses.resize(static_cast<std::size_t>(faces_.rows()));
   scan.parent.resize(stamps_.size());
   scan.side.resize(stamps_.size());
-  scan.patches.clear();
-  finder.query_patches(mesh.bounds(), [&](std::uint32_t patch) { scan.patches.push_back(patch); });
-  std::sort(scan.patches.begin(), scan.patches.end());
-
   const auto cross = [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const auto [first, last] = finder.patch_faces(scan.patches[i]);
@@ -131,6 +133,7 @@ void ClothContacts::find_contacts(const Positions& positions, const ObstacleFiel
   found_.resize(vertices_.size());
   is_found_.assign(vertices_.size(), 0);
   const auto search = [&](std::size_t begin, std::size_t end) {
+    std::uint32_t hint = kNone;  // of any mesh
     for (std::size_t i = begin; i < end; ++i) {
       const Vec3 p = positions.row(vertices_[i]).cast<double>();
       const auto consider = [&](const ObstacleContact& contact) {
@@ -143,7 +146,7 @@ void ClothContacts::find_contacts(const Positions& positions, const ObstacleFiel
         if (!obstacle.present) continue;
         if (obstacle.mesh == nullptr) {
           for (const Capsule& capsule : obstacle.capsules) consider(capsule_contact(capsule, p));
-        } else if (const auto near = obstacle.mesh->contact_near(p, reach)) {
+        } else if (const auto near = obstacle.mesh->contact_near(p, reach, hint)) {
           consider(*near);
         }
       }
@@ -169,6 +172,16 @@ void ClothContacts::find_contacts(const Positions& positions, const ObstacleFiel
   }
 }
 
+void ClothContacts::append_penetrations(MeshScan& scan, const SelfIntersectionFinder& finder,
+                                        std::vector<std::uint32_t>& out) const {
+  for (const std::uint32_t patch : scan.patches) {
+    const auto [first, last] = finder.patch_faces(patch);
+    for (std::uint32_t f = first; f < last; ++f) {
+      if (scan.crosses[f] != 0 || is_inside(scan, faces_(f, 0))) out.push_back(f);
+    }
+  }
+}
+
 void ClothContacts::find_penetrations(const Positions& positions, const ObstacleField& field,
                                       const SelfIntersectionFinder& finder, std::vector<std::uint32_t>& out) {
   out.clear();
@@ -176,13 +189,7 @@ void ClothContacts::find_penetrations(const Positions& positions, const Obstacle
     const ObstacleField::Part& obstacle = field.parts()[part];
     if (!obstacle.present) continue;
     if (obstacle.mesh != nullptr) {
-      MeshScan& scan = scans_[part];
-      for (const std::uint32_t patch : scan.patches) {
-        const auto [first, last] = finder.patch_faces(patch);
-        for (std::uint32_t f = first; f < last; ++f) {
-          if (scan.crosses[f] != 0 || is_inside(scan, faces_(f, 0))) out.push_back(f);
-        }
-      }
+      append_penetrations(scans_[part], finder, out);
       continue;
     }
     for (const Capsule& capsule : obstacle.capsules) {
@@ -205,34 +212,23 @@ void ClothContacts::find_penetrations_again(const Positions& positions, const Ob
   for (const std::uint32_t p : moved_patches) is_moved_[p] = 0;
   for (const ObstacleField::Part& part : field.parts()) {
     if (!part.present) continue;
-    for (const std::uint32_t p : moved_patches) {
-      const auto [first, last] = finder.patch_faces(p);
-      for (const Capsule& capsule : part.capsules) {
-        if (!bounds_of(capsule).overlaps(finder.patch_box(p))) continue;
+    if (part.mesh != nullptr) {
+      again_.patches.clear();
+      for (const std::uint32_t p : moved_patches) {
+        if (part.mesh->bounds().overlaps(finder.patch_box(p))) again_.patches.push_back(p);
+      }
+      scan(positions, *part.mesh, finder, again_);
+      append_penetrations(again_, finder, faces);
+      continue;
+    }
+    for (const Capsule& capsule : part.capsules) {
+      const Box bounds = bounds_of(capsule);
+      for (const std::uint32_t p : moved_patches) {
+        if (!bounds.overlaps(finder.patch_box(p))) continue;
+        const auto [first, last] = finder.patch_faces(p);
         for (std::uint32_t f = first; f < last; ++f) {
           if (reaches_in(capsule, positions, faces_, f)) faces.push_back(f);
         }
-      }
-      if (part.mesh == nullptr || !part.mesh->bounds().overlaps(finder.patch_box(p))) continue;
-      bool near = false;
-      part.mesh->tree().query(finder.patch_box(p), [&](std::uint32_t) { near = true; });
-      const auto meets = [&](std::uint32_t f) {
-        return part.mesh->intersects(
-            {positions.row(faces_(f, 0)), positions.row(faces_(f, 1)), positions.row(faces_(f, 2))});
-      };
-      const auto inside = [&](std::uint32_t f) {
-        const auto contact = part.mesh->contact(positions.row(faces_(f, 0)).cast<double>(), 0);
-        return contact && contact->distance < -kPenetrationTolerance;
-      };
-      const std::size_t before = faces.size();
-      for (std::uint32_t f = first; near && f < last; ++f) {
-        if (meets(f)) faces.push_back(f);
-      }
-      const bool crosses = faces.size() > before;
-      // A patch hangs together: not meeting the surface, it is inside as a whole or not at all.
-      if (!crosses && !inside(first)) continue;
-      for (std::uint32_t f = first; f < last; ++f) {
-        if (!crosses || inside(f)) faces.push_back(f);
       }
     }
   }

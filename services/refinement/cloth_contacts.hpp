@@ -44,9 +44,9 @@ class ClothContacts {
                                std::vector<std::uint32_t>& faces);
 
  private:
-  // The cloth and one mesh obstacle.
+  // Some patches of the cloth and one mesh obstacle.
   struct MeshScan {
-    std::vector<std::uint32_t> patches;   // that overlap the obstacle's bounds
+    std::vector<std::uint32_t> patches;   // ascending
     std::vector<std::uint8_t> crosses;    // per face of these patches: meets the surface
     std::vector<std::uint32_t> vertices;  // of these patches
     std::vector<std::uint32_t> parent;    // per vertex: towards the one that stands for its part of the cloth
@@ -54,13 +54,15 @@ class ClothContacts {
   };
   void scan(const Positions& positions, const MeshObstacle& mesh, const SelfIntersectionFinder& finder, MeshScan& scan);
   bool is_inside(MeshScan& scan, std::uint32_t vertex) const;
+  void append_penetrations(MeshScan& scan, const SelfIntersectionFinder& finder, std::vector<std::uint32_t>& out) const;
   // Empties the list of the vertices that were collected since the last call.
   void begin_collecting();
   void collect(std::uint32_t vertex, std::vector<std::uint32_t>& out);
 
   Faces faces_;
   ThreadPool* pool_;
-  std::vector<MeshScan> scans_;        // per obstacle; of a capsule set empty
+  std::vector<MeshScan> scans_;        // per obstacle, of patches that overlap its bounds; of a capsule set empty
+  MeshScan again_;                     // of patches that moved since
   std::vector<std::uint32_t> stamps_;  // per vertex: the last collection that has it
   std::uint32_t stamp_ = 0;
   std::vector<Box> boxes_;

@@ -191,11 +191,11 @@ Vec3 MeshObstacle::vertex_normal(std::uint32_t vertex) const {
   return sum.normalized();
 }
 
-std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squared_reach) const {
+std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squared_reach, std::uint32_t& hint) const {
   double best = squared_reach;
   std::uint32_t best_face = kNone;
   Vec3 best_weights = Vec3::Zero();
-  tree_.nearest(p, best, [&](std::uint32_t f) {
+  const auto consider = [&](std::uint32_t f) {
     const Vec3 a = point(positions_, faces_(f, 0)), b = point(positions_, faces_(f, 1)),
                c = point(positions_, faces_(f, 2));
     const Vec3 weights = closest_on_triangle(p, a, b, c);
@@ -207,7 +207,10 @@ std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squar
       best_weights = weights;
     }
     return best;
-  });
+  };
+  if (hint < boxes_.size()) consider(hint);
+  tree_.nearest(p, best, consider);
+  hint = best_face;
   if (best_face == kNone) return std::nullopt;
 
   Vec3 closest = Vec3::Zero();
@@ -234,13 +237,14 @@ std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squar
 
 std::optional<ObstacleContact> MeshObstacle::contact(const Vec3& p, double reach) const {
   if (squared_distance(bounds(), p) > reach * reach) return std::nullopt;
-  auto found = nearest(p, std::numeric_limits<double>::max());
+  std::uint32_t hint = kNone;
+  auto found = nearest(p, std::numeric_limits<double>::max(), hint);
   if (!found || found->distance > reach) return std::nullopt;
   return found;
 }
 
-std::optional<ObstacleContact> MeshObstacle::contact_near(const Vec3& p, double reach) const {
-  return nearest(p, reach * reach);
+std::optional<ObstacleContact> MeshObstacle::contact_near(const Vec3& p, double reach, std::uint32_t& hint) const {
+  return nearest(p, reach * reach, hint);
 }
 
 template <typename Visit>
@@ -354,21 +358,36 @@ void ObstacleField::append_bounds(double margin, std::vector<Box>& boxes) const 
   }
 }
 
-std::optional<ObstacleContact> ObstacleField::contact(const Vec3& p, double reach, double depth) const {
+namespace {
+
+// of_mesh(part): the contact with its mesh, if there is any.
+template <typename Parts, typename OfMesh>
+std::optional<ObstacleContact> deepest_contact(Parts& parts, const Vec3& p, double reach, const OfMesh& of_mesh) {
   std::optional<ObstacleContact> deepest;
   const auto consider = [&](const ObstacleContact& found) {
     if (found.distance <= reach && (!deepest || found.distance < deepest->distance)) deepest = found;
   };
-  for (const Part& part : parts_) {
+  for (auto& part : parts) {
     if (!part.present) continue;
     if (part.mesh == nullptr) {
       for (const Capsule& capsule : part.capsules) consider(capsule_contact(capsule, p));
-    } else if (const auto found = std::isinf(depth) ? part.mesh->contact(p, reach)
-                                                    : part.mesh->contact_near(p, std::max(reach, depth))) {
+    } else if (const std::optional<ObstacleContact> found = of_mesh(part)) {
       consider(*found);
     }
   }
   return deepest;
+}
+
+}  // namespace
+
+std::optional<ObstacleContact> ObstacleField::contact(const Vec3& p, double reach) const {
+  return deepest_contact(parts_, p, reach, [&](const Part& part) { return part.mesh->contact(p, reach); });
+}
+
+std::optional<ObstacleContact> ObstacleField::contact_near(const Vec3& p, double reach, double depth) {
+  const double radius = std::max(reach, depth);
+  return deepest_contact(parts_, p, reach,
+                         [&](Part& part) { return part.mesh->contact_near(p, radius, part.nearest); });
 }
 
 bool ObstacleField::penetrates(const Positions& positions, const Faces& faces, std::uint32_t face) const {

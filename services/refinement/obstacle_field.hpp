@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -62,8 +61,10 @@ class MeshObstacle {
   /// The contact of p if p is inside or nearer than `reach` to the surface. Finding out that a point deep inside or far
   /// away is one or the other costs a search for the nearest face.
   std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach) const;
-  /// The contact of p if the surface is nearer than `reach` on either side: cheap where it is not.
-  std::optional<ObstacleContact> contact_near(const Eigen::Vector3d& p, double reach) const;
+  /// The contact of p if the surface is nearer than `reach` on either side: cheap where it is not. hint: a face that
+  /// may be the nearest one, kNone if none is known; afterwards the one that was found. Right hints make the search
+  /// cheaper, none of them makes another result.
+  std::optional<ObstacleContact> contact_near(const Eigen::Vector3d& p, double reach, std::uint32_t& hint) const;
 
   /// Whether a face of the obstacle intersects the triangle.
   bool intersects(const std::array<Eigen::Vector3f, 3>& triangle) const;
@@ -75,7 +76,7 @@ class MeshObstacle {
  private:
   template <typename Visit>
   void visit_intersecting(const std::array<Eigen::Vector3f, 3>& triangle, const Visit& visit) const;
-  std::optional<ObstacleContact> nearest(const Eigen::Vector3d& p, double squared_reach) const;
+  std::optional<ObstacleContact> nearest(const Eigen::Vector3d& p, double squared_reach, std::uint32_t& hint) const;
   Eigen::Vector3d face_normal(std::uint32_t face) const;
 
   Faces faces_;
@@ -104,10 +105,11 @@ class ObstacleField {
   /// clean.
   void append_bounds(double margin, std::vector<Box>& boxes) const;
 
-  /// The deepest contact of p among the obstacles that p is inside of or nearer to than `reach`. Inside of meshes, no
-  /// deeper than `depth`: the less that is, the cheaper.
-  std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach,
-                                         double depth = std::numeric_limits<double>::infinity()) const;
+  /// The deepest contact of p among the obstacles that p is inside of or nearer to than `reach`.
+  std::optional<ObstacleContact> contact(const Eigen::Vector3d& p, double reach) const;
+  /// The same, but inside of meshes no deeper than `depth`: the less that is, the cheaper. For many points that are
+  /// next to each other: a search begins where the last one ended.
+  std::optional<ObstacleContact> contact_near(const Eigen::Vector3d& p, double reach, double depth);
 
   /// Whether a face reaches into an obstacle (see find_penetrations).
   bool penetrates(const Positions& positions, const Faces& faces, std::uint32_t face) const;
@@ -135,7 +137,8 @@ struct ObstacleField::Part {
   Faces faces;                         ///< of a mesh
   std::unique_ptr<MeshObstacle> mesh;  ///< made by the first frame, which tells the vertex count
   std::vector<Capsule> capsules;
-  bool present = false;  ///< in this frame
+  bool present = false;           ///< in this frame
+  std::uint32_t nearest = kNone;  ///< face of the mesh that the last contact_near() found
 };
 
 }  // namespace pleat::refinement

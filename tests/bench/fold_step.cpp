@@ -44,7 +44,7 @@ void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& 
   for (const auto& obstacle : scene.obstacles) result.obstacle_vertices.push_back(obstacle.mesh.vertex_count());
   pleat::ResultWriter writer(path, result);
   pleat::fold::FoldState state;
-  std::vector<double> fold_ms, contact_ms, refine_ms, zones, before, layers;
+  std::vector<double> fold_ms, contact_ms, refine_ms, zones, pairs, reach_in, searches, layers;
   int unclean = 0, restarts = 0;
   for (int k = 0; k < scene.frames; ++k) {
     const pleat::simulation::SimulatedFrame frame = simulation.next_frame();
@@ -58,7 +58,9 @@ void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& 
     layers.push_back(static_cast<double>(report.layer_contacts));
     refine_ms.push_back(refined.report.ms);
     zones.push_back(static_cast<double>(refined.report.zones));
-    before.push_back(static_cast<double>(refined.report.pairs_before + refined.report.penetrations_before));
+    pairs.push_back(static_cast<double>(refined.report.pairs_before));
+    reach_in.push_back(static_cast<double>(refined.report.penetrations_before));
+    searches.push_back(static_cast<double>(refined.report.rounds));
     unclean += refined.report.clean() ? 0 : 1;
     restarts += report.restarted ? 1 : 0;
     pleat::ResultFrame row;
@@ -73,10 +75,11 @@ void run(const pleat::simulation::Scene& scene, const pleat::fold::FoldOptions& 
   std::printf("%s: fold %.1f ms, p95 %.1f (finding contacts %.1f, p95 %.1f; layers %.0f, p95 %.0f), %d begun\n",
               path.c_str(), median(fold_ms), pleat::quantile(fold_ms, 0.95), median(contact_ms),
               pleat::quantile(contact_ms, 0.95), median(layers), pleat::quantile(layers, 0.95), restarts);
-  std::printf(
-      "refinement %.1f ms, p95 %.1f; zones %.0f, p95 %.0f; offences before %.0f, p95 %.0f; %d frames not clean\n",
-      median(refine_ms), pleat::quantile(refine_ms, 0.95), median(zones), pleat::quantile(zones, 0.95), median(before),
-      pleat::quantile(before, 0.95), unclean);
+  std::printf("refinement %.1f ms, p95 %.1f; zones %.0f, p95 %.0f; searches %.0f, p95 %.0f; %d frames not clean\n",
+              median(refine_ms), pleat::quantile(refine_ms, 0.95), median(zones), pleat::quantile(zones, 0.95),
+              median(searches), pleat::quantile(searches, 0.95), unclean);
+  std::printf("it met intersecting pairs %.0f, p95 %.0f; faces in obstacles %.0f, p95 %.0f\n", median(pairs),
+              pleat::quantile(pairs, 0.95), median(reach_in), pleat::quantile(reach_in, 0.95));
 }
 
 }  // namespace

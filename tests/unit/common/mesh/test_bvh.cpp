@@ -102,6 +102,24 @@ TEST(Bvh, PartsOfTheTraversalGiveEveryPairOnce) {
   }
 }
 
+// Far from the origin, where a float is as coarse as the boxes are small, and with boxes that are points.
+TEST(Bvh, NearestMissesNothingWhereFloatsAreCoarse) {
+  for (const double offset : {0.0, 1000.0, 1e5}) {
+    std::vector<Box> boxes(300);
+    std::mt19937 engine(5);
+    std::uniform_real_distribution<double> position(-1, 1);
+    for (Box& box : boxes) box.extend(Eigen::Vector3d(offset + position(engine), position(engine), -offset));
+    const Bvh bvh(boxes);
+    for (int i = 0; i < 200; ++i) {
+      const Eigen::Vector3d p(offset + position(engine), position(engine), 0.01 * position(engine) - offset);
+      double expected = 1e9, best = 1e9;
+      for (const Box& box : boxes) expected = std::min(expected, squared_distance(box, p));
+      bvh.nearest(p, best, [&](std::uint32_t e) { return best = std::min(best, squared_distance(boxes[e], p)); });
+      EXPECT_EQ(best, expected) << offset;
+    }
+  }
+}
+
 TEST(Bvh, NearestVisitsTheNearestAndLittleElse) {
   const auto boxes = random_boxes(2000, 0.02, 11);
   const Bvh bvh(boxes);

@@ -176,6 +176,26 @@ TEST_F(FoldStepTest, StaysOutOfObstacles) {
   EXPECT_GT(nearest, 0);
 }
 
+// A cloth that lies on a steep obstacle by friction, as a skirt on hips: the fine one does not slide down.
+TEST_F(FoldStepTest, StaysWhereTheCoarseClothTouches) {
+  const auto sag = [&](float distance) {
+    FoldStep step = make();
+    Positions wall = rest;  // along y, beside a large ball
+    wall.col(1) = rest.col(2);
+    wall.col(2).setConstant(0);
+    ObstacleFrame ball;
+    ball.name = "ball";
+    ball.radius = 100;
+    ball.center = {0, 0, -100 - distance};
+    const std::vector<ObstacleFrame> obstacles{ball};
+    FoldState state;
+    for (int k = 0; k < 40; ++k) step.fold({wall, still, obstacles}, state);
+    return (upsampled(wall) - state.positions).col(1).mean();
+  };
+  EXPECT_LT(sag(0.004f), 0.01f);
+  EXPECT_GT(sag(0.05f), 0.03f);
+}
+
 TEST_F(FoldStepTest, WhatIsHeldStays) {
   FoldStep step = make();
   const std::vector<std::uint32_t> held{0, 6};

@@ -92,8 +92,9 @@ TEST(ObstacleField, FacesInsideAcrossAndAroundAMesh) {
   EXPECT_EQ(count_penetrations(x, faces, shapes, frames), 0u);
 }
 
-// With a depth, what is deeper inside a mesh is not found, and everything else is as without.
-TEST(ObstacleField, ContactsOfADepth) {
+// With a depth, what is deeper inside a mesh is not found, and everything else is as without, wherever the search before
+// ended.
+TEST(ObstacleField, NearContactsAreContactsUpToADepth) {
   const test::ClosedMesh torus = test::torus(0.5f, 0.2f);
   const std::vector<ObstacleShape> shapes{{"torus", torus.faces}};
   ObstacleField field(shapes);
@@ -103,7 +104,7 @@ TEST(ObstacleField, ContactsOfADepth) {
   int deep = 0, found = 0;
   for (int i = 0; i < 2000; ++i) {
     const Eigen::Vector3d p(uniform(random), 0.3 * uniform(random), uniform(random));
-    const auto all = field.contact(p, 0.05), near = field.contact(p, 0.05, 0.1);
+    const auto all = field.contact(p, 0.05), near = field.contact_near(p, 0.05, 0.1);
     if (all && all->distance < -0.1) {
       EXPECT_FALSE(near);
       ++deep;
