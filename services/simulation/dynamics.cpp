@@ -18,6 +18,7 @@ using Clock = std::chrono::steady_clock;
 
 // A coarse mesh is one range: waking threads for it costs more than it saves.
 constexpr std::size_t kPackGrain = 512;
+constexpr std::size_t kWorthThreads = 4 * kVertexGrain;  // vertices
 
 double milliseconds_since(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
@@ -608,7 +609,8 @@ int Dynamics::solve(const Points& positions, Points& velocities, const Step& ste
   assemble(positions, velocities, step, pool);
   assembly_ms_ = milliseconds_since(start);
   const auto middle = Clock::now();
-  const int iterations = conjugate_gradients(step, pool);
+  // The loops of an iteration over a small mesh take less time than waking up a thread.
+  const int iterations = conjugate_gradients(step, vertex_count() < kWorthThreads ? alone_ : pool);
   for (std::size_t i = 0; i < vertex_count(); ++i) {
     const Float4 dv = change_[place_[i]];
     velocities[i] += Vector3d(static_cast<double>(dv[0]), static_cast<double>(dv[1]), static_cast<double>(dv[2]));

@@ -141,6 +141,8 @@ class Dynamics {
   std::vector<HingePack> hinge_packs_;
   std::size_t mass_packs_ = 0;
 
+  ThreadPool alone_{1};
+
   // Per step.
   std::vector<Double4> positions_, velocities_;  // copies in registers' layout
   std::vector<float> face_records_, hinge_records_;
