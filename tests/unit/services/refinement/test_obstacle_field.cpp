@@ -92,8 +92,8 @@ TEST(ObstacleField, FacesInsideAcrossAndAroundAMesh) {
   EXPECT_EQ(count_penetrations(x, faces, shapes, frames), 0u);
 }
 
-// With a depth, what is deeper inside a mesh is not found, and everything else is as without, wherever the search before
-// ended.
+// With a depth, what is deeper inside a mesh is not found, and everything else is as without, wherever the search
+// before ended.
 TEST(ObstacleField, NearContactsAreContactsUpToADepth) {
   const test::ClosedMesh torus = test::torus(0.5f, 0.2f);
   const std::vector<ObstacleShape> shapes{{"torus", torus.faces}};
