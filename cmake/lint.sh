@@ -20,8 +20,8 @@ if [[ -f $build/compile_commands.json ]]; then
   # clang-tidy on the plain libraries: where the algorithms are, and quick because no gRPC or LibTorch header is in sight.
   mapfile -t tidy < <(git ls-files 'common/base/*.cpp' 'common/mesh/*.cpp' 'services/simulation/*.cpp' 'services/conversion/*.cpp' \
     'services/refinement/*.cpp' 'services/fold/*.cpp' | grep -vE '(service|main|messages)[^/]*\.cpp$')
-  if ! printf '%s\n' "${tidy[@]}" | xargs -P "$(nproc)" -n 4 clang-tidy --quiet -p "$build" >/tmp/pleat-tidy.$$ 2>/dev/null; then
-    complain "clang-tidy:" "$(grep -E '(warning|error):' /tmp/pleat-tidy.$$ | sort -u)"
+  if ! printf '%s\n' "${tidy[@]}" | xargs -P "$(nproc)" -n 4 clang-tidy --quiet -p "$build" >/tmp/pleat-tidy.$$ 2>&1; then
+    complain "clang-tidy:" "$(grep -E '(warning|error):' /tmp/pleat-tidy.$$ | sort -u || tail -n 20 /tmp/pleat-tidy.$$)"
   fi
   rm -f /tmp/pleat-tidy.$$
 fi
