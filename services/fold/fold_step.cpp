@@ -4,7 +4,6 @@
 #include <array>
 #include <chrono>
 #include <cmath>
-#include <numeric>
 #include <string>
 #include <utility>
 #include <vector>
@@ -102,8 +101,7 @@ struct FoldStep::Work {
   std::vector<float> tangled, wider;
   std::vector<ObstaclePlane> planes;
   std::vector<Box> near_obstacles;
-  std::vector<std::uint32_t> by_face, face_begin;  // fine vertices by their coarse face
-  std::vector<float> touching;                     // per coarse vertex: 1 on an obstacle, 0 away from all
+  std::vector<float> touching;  // per coarse vertex: 1 on an obstacle, 0 away from all
 
   Work(const Topology& c, const Subdivision& s, std::span<const ObstacleShape> shapes, const FoldOptions& o)
       : options((check_options(o, c), o)),
@@ -126,22 +124,12 @@ struct FoldStep::Work {
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
     hinges = HingePacks(std::move(bending), count);
     for (const float mass : masses) inverse_masses.push_back(1 / mass);
-    sort_by_face();
     touching.assign(coarse_count, 0);
     tangled.assign(count, 0);
     fixed.assign(count, 0);
     fixed_before.assign(count, 1);  // so that the first frame sets the step
     for (auto* buffer : {&x, &v, &before, &expected, &from, &way, &given, &normals, &moved})
       buffer->assign(count + 1, Float4{});
-  }
-
-  void sort_by_face() {
-    face_begin.assign(static_cast<std::size_t>(coarse.face_count()) + 1, 0);
-    for (const std::uint32_t face : subdivision.parent_face) ++face_begin[face + 1];
-    std::partial_sum(face_begin.begin(), face_begin.end(), face_begin.begin());
-    std::vector<std::uint32_t> next(face_begin.begin(), face_begin.end() - 1);
-    by_face.resize(count);
-    for (std::uint32_t i = 0; i < count; ++i) by_face[next[subdivision.parent_face[i]]++] = i;
   }
 
   void check(const FoldFrame& frame, const FoldState& state) const {
@@ -264,9 +252,8 @@ struct FoldStep::Work {
     if (obstacles.empty()) return;
     near_obstacles.clear();
     obstacles.append_bounds(kObstacleReach, near_obstacles);
-    for (std::size_t face = 0; face + 1 < face_begin.size(); ++face) {
-      const std::span<const std::uint32_t> members =
-          std::span(by_face).subspan(face_begin[face], face_begin[face + 1] - face_begin[face]);
+    for (std::uint32_t face = 0; face < static_cast<std::uint32_t>(coarse.face_count()); ++face) {
+      const std::span<const std::uint32_t> members = layers.vertices_of(face);
       if (members.empty()) continue;
       Float4 middle{};
       for (const std::uint32_t i : members) middle += x[i] + way[i];

@@ -152,8 +152,7 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
     const double beside = (centers_[of] - centers_[face]).norm() - radii_[of] - radii_[face];
     const double across = std::max(std::abs(least), std::abs(most));
     if (beside > 0 && across <= kAcross * beside) return;
-    for (std::uint32_t k = vertices_of_begin_[of]; k < vertices_of_begin_[of + 1]; ++k) {
-      const std::uint32_t v = vertices_of_[k];
+    for (const std::uint32_t v : vertices_of(of)) {
       const Float4 p = upsampled[v];
       meet(v, of, face, {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])}, coarse);
     }

@@ -35,6 +35,13 @@ class LayerFinder {
   std::span<const LayerContact> find(const Positions& coarse, std::span<const Float4> upsampled,
                                      std::span<const Float4> fine, float reach, float thickness);
 
+  /// The fine vertices of a coarse face, ascending: each vertex belongs to one.
+  std::span<const std::uint32_t> vertices_of(std::uint32_t coarse_face) const {
+    return std::span(vertices_of_)
+        .subspan(vertices_of_begin_[coarse_face],
+                 vertices_of_begin_[coarse_face + 1] - vertices_of_begin_[coarse_face]);
+  }
+
  private:
   void meet(std::uint32_t vertex, std::uint32_t own, std::uint32_t face, const Eigen::Vector3d& point,
             const Positions& coarse);
