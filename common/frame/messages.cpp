@@ -12,13 +12,11 @@
 #endif
 
 #include "common/base/checks.hpp"
+#include "common/base/limits.hpp"
 
 namespace pleat {
 namespace {
 
-constexpr std::size_t kMaxVertices = 4'000'000;
-constexpr std::size_t kMaxFaces = 8'000'000;
-constexpr std::size_t kMaxCapsules = 10'000;
 constexpr std::uint64_t kMaxTensorValues = 16u << 20;  // 64 MiB of float32, the message limit
 
 template <typename Matrix, typename Scalar>

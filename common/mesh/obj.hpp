@@ -5,14 +5,15 @@
 #include <iosfwd>
 #include <string_view>
 
+#include "common/base/limits.hpp"
 #include "common/mesh/polygons.hpp"
 
 namespace pleat {
 
 /// Limits against hostile files.
 struct ObjLimits {
-  std::size_t max_vertices = 4'000'000;
-  std::size_t max_faces = 8'000'000;
+  std::size_t max_vertices = kMaxVertices;
+  std::size_t max_faces = kMaxFaces;
 };
 
 /// Reads `v`, `vt` and `f` (with v, v/vt, v/vt/vn, v//vn; negative indices are relative as the format says). A

@@ -9,12 +9,12 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/base/limits.hpp"
 #include "common/base/text_file.hpp"
 
 namespace pleat {
 namespace {
 
-constexpr std::uint64_t kMaxVertices = 4'000'000, kMaxFaces = 8'000'000;
 constexpr std::uint64_t kMaxCorners = 1000;
 
 enum class Type { kInt8, kUint8, kInt16, kUint16, kInt32, kUint32, kFloat, kDouble };

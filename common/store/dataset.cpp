@@ -29,7 +29,7 @@ std::filesystem::path sequence_path(const std::filesystem::path& folder, const s
 }
 
 std::vector<double> read_times(const hdf5::File& file, std::uint64_t first, std::uint64_t last) {
-  file.extents("/time_s", 1, store::kMaxFrames);
+  file.extents("/time_s", 1, kMaxFrames);
   std::vector<double> times(last - first);
   file.rows("/time_s").read(H5T_NATIVE_DOUBLE, first, times.size(), times.data());
   return times;

@@ -7,17 +7,12 @@
 #include <string>
 #include <vector>
 
+#include "common/base/limits.hpp"
 #include "common/frame/frame.hpp"
 #include "common/store/dataset.hpp"
 #include "common/store/hdf5.hpp"
 
 namespace pleat::store {
-
-/// Limits against hostile files.
-inline constexpr hsize_t kMaxVertices = 4'000'000;
-inline constexpr hsize_t kMaxFaces = 8'000'000;
-inline constexpr hsize_t kMaxCapsules = 10'000;
-inline constexpr hsize_t kMaxFrames = 10'000'000;
 
 /// /topology/{coarse,fine}/..., /topology/feature_vertices.
 void write_topologies(hdf5::File& file, const MeshPair& topology);

@@ -116,7 +116,7 @@ struct ResultReader::State {
   template <typename T>
   std::vector<T> column(const std::string& name, hid_t type, std::uint64_t first, std::uint64_t last) const {
     store::check_range(file, first, last, info.frames);
-    file.extents(name, 1, store::kMaxFrames);
+    file.extents(name, 1, kMaxFrames);
     std::vector<T> values(last - first);
     file.rows(name).read(type, first, values.size(), values.data());
     return values;

@@ -1,6 +1,7 @@
 // `pleat body`: a rigged character and a motion to the animated mesh of a scene.
 #include <cstdio>
 
+#include "common/base/limits.hpp"
 #include "common/base/progress.hpp"
 #include "common/base/signals.hpp"
 #include "common/mesh/obj.hpp"
@@ -14,7 +15,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int kMaxFrames = 1'000'000;
 constexpr std::size_t kMaxFastPlaces = 5;
 
 struct BodyOptions {
@@ -110,7 +110,7 @@ std::vector<Command> add_body(CLI::App& root) {
       ->required();
   app->add_option("--asf", options->source.asf, "the skeleton of an AMC motion (default: the one beside it)");
   app->add_option("--frames", options->frames, "frames to write; the last pose stays (default: all)")
-      ->check(CLI::Range(0, kMaxFrames));
+      ->check(CLI::Range(std::uint64_t{0}, kMaxFrames));
   app->add_option("--frame-time", motion.frame_time_s, "seconds between frames")
       ->capture_default_str()
       ->check(positive_number());

@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <Eigen/SVD>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 
 namespace pleat::conversion {
@@ -19,7 +20,7 @@ RigidTransform kabsch(const Positions& positions, const Positions& rest) {
     throw_invalid_argument("rigid alignment: " + std::to_string(positions.rows()) + " positions for " +
                            std::to_string(rest.rows()) + " rest positions");
   }
-  if (!positions.allFinite()) throw_invalid_argument("rigid alignment: a position is not finite");
+  if (!all_finite(positions)) throw_invalid_argument("rigid alignment: a position is not finite");
 
   const double inverse_count = 1.0 / static_cast<double>(rest.rows());
   Eigen::Vector3d center = Eigen::Vector3d::Zero(), rest_center = Eigen::Vector3d::Zero();

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "common/base/limits.hpp"
 #include "common/features/channel_ranges.hpp"
 #include "pleat/v1/conversion.pb.h"
 #include "services/conversion/representation.hpp"
@@ -13,8 +14,8 @@
 namespace pleat::conversion {
 
 struct SessionLimits {
-  std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session
-  std::int64_t max_texels = 4'000'000;    ///< of the fine image of a session
+  std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a session
+  std::int64_t max_texels = 4'000'000;                  ///< of the fine image of a session
 };
 
 /// Not for several threads. Every member throws Error for input that is wrong, and stays usable.

@@ -12,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "common/base/limits.hpp"
 #include "pleat/v1/coordinator.pb.h"
 #include "services/coordinator/active_job.hpp"
 #include "services/coordinator/job_table.hpp"
@@ -21,13 +22,13 @@
 namespace pleat::coordinator {
 
 struct JobSettings {
-  std::size_t concurrency = 2;             ///< jobs at the same time; others are queued
-  std::size_t max_queued = 1000;           ///< jobs that wait
-  std::uint32_t window = 4;                ///< frames in flight per stage and replica
-  std::uint32_t checkpoint_interval = 25;  ///< frames between check-points of the simulation
-  std::uint32_t max_frames = 1'000'000;    ///< of one job
-  bool compress = true;                    ///< the finished result file
-  std::int64_t max_vertices = 1'000'000;   ///< of the fine mesh of a job
+  std::size_t concurrency = 2;                          ///< jobs at the same time; others are queued
+  std::size_t max_queued = 1000;                        ///< jobs that wait
+  std::uint32_t window = 4;                             ///< frames in flight per stage and replica
+  std::uint32_t checkpoint_interval = 25;               ///< frames between check-points of the simulation
+  std::uint32_t max_frames = kMaxFrames;                ///< of one job
+  bool compress = true;                                 ///< the finished result file
+  std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a job
 };
 
 /// Takes up unfinished jobs of the table at once. Thread-safe.

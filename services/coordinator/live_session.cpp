@@ -5,10 +5,12 @@
 #include <algorithm>
 #include <cmath>
 #include <set>
+#include <span>
 #include <system_error>
 #include <thread>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
 #include "common/rpc/caller.hpp"
@@ -31,7 +33,7 @@ void check_obstacles(const v1::EnhanceOpen& open) {
 }
 
 bool is_finite(const google::protobuf::RepeatedField<float>& values) {
-  return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
+  return all_finite(std::span<const float>(values.data(), static_cast<std::size_t>(values.size())));
 }
 
 /// What is wrong with a client's frame; empty if nothing.

@@ -6,6 +6,7 @@
 #include <mutex>
 #include <set>
 
+#include "common/base/limits.hpp"
 #include "pleat/v1/coordinator.pb.h"
 #include "services/coordinator/blocking_reactor.hpp"
 #include "services/coordinator/client_quota.hpp"
@@ -15,11 +16,11 @@ namespace pleat::coordinator {
 
 struct LiveSettings {
   std::size_t max_sessions = 32;
-  std::size_t max_sessions_each = 0;      ///< of one client (rpc::caller); 0: as many as all together
-  double open_timeout_s = 10;             ///< for the client's first message
-  double idle_timeout_s = 300;            ///< for its next frame
-  double reader_timeout_s = 30;           ///< for it to take an answer
-  std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session or job
+  std::size_t max_sessions_each = 0;                    ///< of one client (rpc::caller); 0: as many as all together
+  double open_timeout_s = 10;                           ///< for the client's first message
+  double idle_timeout_s = 300;                          ///< for its next frame
+  double reader_timeout_s = 30;                         ///< for it to take an answer
+  std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a session or job
 };
 
 /// All live sessions of a coordinator; each has a thread that reads, and the pipeline's own. Thread-safe.

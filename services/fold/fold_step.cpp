@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/simd.hpp"
 #include "common/mesh/connectivity.hpp"
@@ -138,7 +139,7 @@ struct FoldStep::Work {
         throw_invalid_argument(std::string("fold step: ") + what + " has " + std::to_string(array.rows()) +
                                " rows instead of " + std::to_string(rows));
       }
-      if (!array.allFinite()) throw_invalid_argument(std::string("fold step: ") + what + " is not finite");
+      if (!all_finite(array)) throw_invalid_argument(std::string("fold step: ") + what + " is not finite");
     };
     check_array(frame.coarse, coarse_count, "coarse frame");
     check_array(frame.coarse_velocities, coarse_count, "coarse velocities");

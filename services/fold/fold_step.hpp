@@ -14,10 +14,10 @@
 namespace pleat::fold {
 
 struct FoldOptions {
-  simulation::Material material;  ///< of the cloth
-  double frame_time_s = 0.04;     ///< between frames
-  double frequency = 7;           ///< rad/s, with which averages swing about the coarse cloth's; 0 to 50
-  double step_s = 1.0 / 300;      ///< of the cloth; a frame is made in as many equal ones as are at most this long
+  simulation::Material material;            ///< of the cloth
+  double frame_time_s = kDefaultFrameTime;  ///< between frames
+  double frequency = 7;                     ///< rad/s, with which averages swing about the coarse cloth's; 0 to 50
+  double step_s = 1.0 / 300;  ///< of the cloth; a frame is made in as many equal ones as are at most this long
   Eigen::Vector3d gravity{0, -9.81, 0};
   double air_density = 1;                                  ///< kg/m^3
   Eigen::Vector3d air_velocity = Eigen::Vector3d::Zero();  ///< m/s, of the wind

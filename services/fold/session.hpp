@@ -7,13 +7,14 @@
 #include <string>
 #include <vector>
 
+#include "common/base/limits.hpp"
 #include "pleat/v1/fold.pb.h"
 #include "services/fold/fold_step.hpp"
 
 namespace pleat::fold {
 
 struct SessionOptions {
-  std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session
+  std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a session
 };
 
 /// Not for several threads. Every member throws Error for input that is wrong, and stays usable.

@@ -1,5 +1,6 @@
 #include "services/refinement/judge.hpp"
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "services/refinement/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
@@ -8,7 +9,7 @@ namespace pleat::refinement {
 namespace {
 
 void check(const Positions& positions, const Faces& faces) {
-  if (!positions.allFinite()) throw_invalid_argument("judge: positions are not finite");
+  if (!all_finite(positions)) throw_invalid_argument("judge: positions are not finite");
   if (faces.rows() != 0 && static_cast<Eigen::Index>(faces.maxCoeff()) >= positions.rows()) {
     throw_invalid_argument("judge: a face names vertex " + std::to_string(faces.maxCoeff()) + " of " +
                            std::to_string(positions.rows()));

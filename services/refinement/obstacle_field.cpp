@@ -6,6 +6,7 @@
 #include <limits>
 #include <string>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/mesh/closest_points.hpp"
 #include "common/mesh/triangle_intersection.hpp"
@@ -321,7 +322,7 @@ void ObstacleField::update(std::span<const ObstacleFrame> frames) {
       part.capsules.assign(1, sphere);
       continue;
     }
-    if (frame.positions.rows() == 0 || !frame.positions.allFinite()) {
+    if (frame.positions.rows() == 0 || !all_finite(frame.positions)) {
       throw_invalid_argument("obstacle " + frame.name + ": positions are absent or not finite");
     }
     if (part.mesh == nullptr) {

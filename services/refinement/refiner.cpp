@@ -5,6 +5,7 @@
 #include <cmath>
 #include <string>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "services/refinement/cloth_contacts.hpp"
 #include "services/refinement/impact_zones.hpp"
@@ -37,7 +38,7 @@ void check(const Positions& positions, Eigen::Index count, const char* name) {
     throw_invalid_argument("refinement: " + std::to_string(positions.rows()) + " " + name +
                            " positions for a mesh of " + std::to_string(count) + " vertices");
   }
-  if (!positions.allFinite()) throw_invalid_argument(std::string("refinement: ") + name + " positions are not finite");
+  if (!all_finite(positions)) throw_invalid_argument(std::string("refinement: ") + name + " positions are not finite");
 }
 
 // The offences of one state of a mesh.

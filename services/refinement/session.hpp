@@ -5,15 +5,16 @@
 #include <memory>
 #include <vector>
 
+#include "common/base/limits.hpp"
 #include "pleat/v1/refinement.pb.h"
 #include "services/refinement/refiner.hpp"
 
 namespace pleat::refinement {
 
 struct SessionOptions {
-  std::int64_t max_vertices = 1'000'000;  ///< of the fine mesh of a session
-  int bisections = 5;                     ///< weights of impact zones are found to 2^-bisections
-  int threads = 0;                        ///< of a session; 0: as many as there are processors
+  std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a session
+  int bisections = 5;                                   ///< weights of impact zones are found to 2^-bisections
+  int threads = 0;                                      ///< of a session; 0: as many as there are processors
 };
 
 /// Not for several threads. Every member throws Error for input that is wrong, and stays usable.

@@ -7,6 +7,7 @@
 #include <set>
 
 #include "common/base/error.hpp"
+#include "common/base/limits.hpp"
 #include "services/simulation/obstacles.hpp"
 
 namespace pleat::simulation {
@@ -14,7 +15,6 @@ namespace {
 
 using Eigen::Vector3d;
 
-constexpr int kMaxFrames = 1'000'000;
 constexpr int kMaxSteps = 10'000;
 // Fine vertices beyond this do not fit the wire's limits.
 constexpr double kMaxFineFaces = 8e6;
@@ -179,7 +179,7 @@ void validate_scene(const Scene& scene) {
     fail(scene, "steps per frame must be 1 to " + std::to_string(kMaxSteps) + ", not " +
                     std::to_string(scene.steps_per_frame));
   }
-  if (scene.frames < 1 || scene.frames > kMaxFrames) {
+  if (scene.frames < 1 || static_cast<std::uint64_t>(scene.frames) > kMaxFrames) {
     fail(scene, "frames must be 1 to " + std::to_string(kMaxFrames) + ", not " + std::to_string(scene.frames));
   }
   check_at_most(scene, scene.gravity, kStrongestPull, "m/s2", "gravity");

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "services/simulation/material.hpp"
@@ -123,7 +124,7 @@ struct Scene {
   double damping_s = 0;        ///< stiffness-proportional damping, seconds
   StretchRange strain_limits;  ///< kept by a projection after each step, before collisions are resolved
 
-  double frame_time_s = 0.04;
+  double frame_time_s = kDefaultFrameTime;
   int steps_per_frame = 8;
   int frames = 100;  ///< including frame 0, the initial state
 
@@ -133,7 +134,7 @@ struct Scene {
   double handle_stretch_warning = 2;  ///< a stretch of the cloth at a handle beyond this is worth a warning; at least 1
   std::vector<Obstacle> obstacles;
   Contact contact;
-  int subdivision_rounds = 2;
+  int subdivision_rounds = kDefaultSubdivisionRounds;
   SubdivisionRule subdivision_rule = SubdivisionRule::kMidpoint;  ///< kSmooth: a free fine simulation's only
   Tracking tracking;
   std::uint64_t seed = 0;

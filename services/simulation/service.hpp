@@ -6,14 +6,15 @@
 #include <atomic>
 #include <cstdint>
 
+#include "common/base/limits.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/simulation.grpc.pb.h"
 
 namespace pleat::simulation {
 
 struct ServiceOptions {
-  int threads = 0;                        ///< per session; 0: the processors this process may use
-  std::int64_t max_vertices = 1'000'000;  ///< of the finest mesh of a session
+  int threads = 0;                                      ///< per session; 0: the processors this process may use
+  std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the finest mesh of a session
 };
 
 /// One simulation per stream. Sessions are independent of each other.

@@ -15,13 +15,12 @@ namespace pleat::superres {
 
 struct Batcher::State {
   struct Request {
-    Tensor frames;
-    std::shared_ptr<const Tensor> constants;
+    const NetworkInput& input;
     int channels;
-    Tensor answer = {};
+    Tensor& answer;
     std::exception_ptr error = {};
     bool done = false;
-    NetworkInput input() const { return {&frames, constants}; }
+    const std::vector<std::int64_t>& shape() const { return input.frames->shape; }
   };
   using Batch = std::vector<Request*>;
 
@@ -38,8 +37,8 @@ struct Batcher::State {
     const auto full = [&] { return queue.size() >= static_cast<std::size_t>(options.largest_batch); };
     if (sessions.load() > 1) arrived.wait_for(lock, options.latency, full);
     while (!queue.empty() && batch.size() < static_cast<std::size_t>(options.largest_batch)) {
-      if (!batch.empty() && (queue.front()->frames.shape != batch.front()->frames.shape ||
-                             queue.front()->channels != batch.front()->channels)) {
+      if (!batch.empty() &&
+          (queue.front()->shape() != batch.front()->shape() || queue.front()->channels != batch.front()->channels)) {
         break;
       }
       batch.push_back(queue.front());
@@ -49,7 +48,8 @@ struct Batcher::State {
 
   void answer_one(Request& request) const {
     try {
-      request.answer = engine->upscale(request.input(), request.channels);
+      Tensor* const answer = &request.answer;
+      engine->upscale({&request.input, 1}, request.channels, {&answer, 1});
     } catch (...) {
       request.error = std::current_exception();
     }
@@ -59,9 +59,12 @@ struct Batcher::State {
     if (batch.size() == 1) return answer_one(*batch.front());
     try {
       std::vector<NetworkInput> inputs;
-      for (const Request* request : batch) inputs.push_back(request->input());
-      std::vector<Tensor> results = engine->upscale(inputs, batch.front()->channels);
-      for (std::size_t i = 0; i < batch.size(); ++i) batch[i]->answer = std::move(results[i]);
+      std::vector<Tensor*> answers;
+      for (Request* request : batch) {
+        inputs.push_back(request->input);
+        answers.push_back(&request->answer);
+      }
+      engine->upscale(inputs, batch.front()->channels, answers);
     } catch (...) {
       // One bad image must not spoil the others: each gets its own answer or error.
       for (Request* request : batch) answer_one(*request);
@@ -77,10 +80,10 @@ Batcher::Batcher(std::shared_ptr<Engine> engine, const BatcherOptions& options) 
 
 Batcher::~Batcher() = default;
 
-Tensor Batcher::upscale(Tensor frames, std::shared_ptr<const Tensor> constants, int channels) {
+void Batcher::upscale(const NetworkInput& input, int channels, Tensor& answer) {
   State& state = *state_;
-  State::Request request{std::move(frames), std::move(constants), channels};
-  state.engine->check(request.input());
+  State::Request request{input, channels, answer};
+  state.engine->check(input);
   State::Batch batch;
   batch.reserve(static_cast<std::size_t>(state.options.largest_batch));
   std::unique_lock lock(state.mutex);
@@ -106,7 +109,6 @@ Tensor Batcher::upscale(Tensor frames, std::shared_ptr<const Tensor> constants, 
     state.answered.notify_all();
   }
   if (request.error) std::rethrow_exception(request.error);
-  return std::move(request.answer);
 }
 
 std::shared_ptr<void> Batcher::open_session() {

@@ -25,10 +25,10 @@ class Batcher {
   Batcher(const Batcher&) = delete;
   Batcher& operator=(const Batcher&) = delete;
 
-  /// The first `channels` (0: all) of the answer to a window of frames (T C, h, w) with the session's constants. From
-  /// any thread; waits for its turn. Throws kResourceExhausted if the queue is full, and as Engine::check() and
-  /// Engine::upscale(). A faulty image spoils only its own answer.
-  Tensor upscale(Tensor frames, std::shared_ptr<const Tensor> constants, int channels = 0);
+  /// answer: the first `channels` (0: all) of the answer to a window of frames (T C, h, w) with the session's
+  /// constants; its memory is used again. From any thread; waits for its turn. Throws kResourceExhausted if the queue
+  /// is full, and as Engine::check() and Engine::upscale(). A faulty image spoils only its own answer.
+  void upscale(const NetworkInput& input, int channels, Tensor& answer);
 
   /// A session counts until the returned token dies.
   std::shared_ptr<void> open_session();

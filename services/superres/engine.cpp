@@ -13,6 +13,7 @@
 #include <optional>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
 #include "services/superres/bundle/bundle.hpp"
@@ -43,8 +44,10 @@ bool stays_float32(const std::string& name, const std::vector<std::string>& pref
 constexpr std::int64_t kLargestSide = 8192;
 constexpr std::int64_t kAnySide = 16;  ///< of the images that warm a bundle up which serves any size
 
-bool all_finite(const Tensor& tensor) {
-  return std::all_of(tensor.values.begin(), tensor.values.end(), [](float v) { return std::isfinite(v); });
+std::vector<Tensor*> addresses(std::vector<Tensor>& tensors) {
+  std::vector<Tensor*> result;
+  for (Tensor& tensor : tensors) result.push_back(&tensor);
+  return result;
 }
 
 bool out_of_memory(const std::string& text) {
@@ -126,30 +129,26 @@ struct Engine::State {
     return input;
   }
 
-  void run_own(std::span<const NetworkInput> inputs, int channels, std::vector<Tensor>& results) {
+  void run_own(std::span<const NetworkInput> inputs, int channels, std::span<Tensor* const> answers) {
     for (std::size_t n = 0; n < inputs.size(); ++n) {
       const Tensor& frames = *inputs[n].frames;
       const std::span<const float> constants =
           inputs[n].constants ? std::span<const float>(inputs[n].constants->values) : std::span<const float>();
       executor->run(frames.values.data(), constants,
                     {static_cast<int>(frames.shape[1]), static_cast<int>(frames.shape[2])}, channels,
-                    results[n].values.data());
+                    answers[n]->values.data());
       // The executor knows them by their address: it may not become another's.
       constants_in_use = inputs[n].constants;
     }
   }
 
   /// In batches that the device can hold.
-  std::vector<Tensor> run(std::span<const NetworkInput> inputs, int channels) {
-    std::vector<Tensor> results(inputs.size());
-    for (Tensor& result : results) {
-      result.shape = answer_shape(inputs.front().frames->shape, channels);
-      result.values.resize(static_cast<std::size_t>(result.shape[0] * result.shape[1] * result.shape[2]));
+  void run(std::span<const NetworkInput> inputs, int channels, std::span<Tensor* const> answers) {
+    for (Tensor* answer : answers) {
+      answer->shape = answer_shape(inputs.front().frames->shape, channels);
+      answer->values.resize(static_cast<std::size_t>(answer->shape[0] * answer->shape[1] * answer->shape[2]));
     }
-    if (executor) {
-      run_own(inputs, channels, results);
-      return results;
-    }
+    if (executor) return run_own(inputs, channels, answers);
     for (std::size_t begin = 0; begin < inputs.size();) {
       const std::size_t count = std::min(inputs.size() - begin, static_cast<std::size_t>(status.largest_batch));
       torch::Tensor output;
@@ -161,13 +160,12 @@ struct Engine::State {
         continue;
       }
       for (std::size_t n = 0; n < count; ++n) {
-        auto& values = results[begin + n].values;
+        auto& values = answers[begin + n]->values;
         const auto one = output[static_cast<std::int64_t>(n)];
         std::copy_n(one.data_ptr<float>(), values.size(), values.begin());
       }
       begin += count;
     }
-    return results;
   }
 
   /// The first inferences make buffers, and TorchScript optimises in its second; a batch of one must be as warm as a
@@ -182,9 +180,13 @@ struct Engine::State {
         metadata.constants > 0 ? std::make_shared<const Tensor>(filled(metadata.constants)) : nullptr;
     for (const int batch : {1, executor ? 1 : status.largest_batch}) {
       const std::vector<NetworkInput> inputs(static_cast<std::size_t>(batch), NetworkInput{&frames, constants});
+      std::vector<Tensor> results(inputs.size());
+      const std::vector<Tensor*> answers = addresses(results);
       for (int i = 0; i < 2; ++i) {
-        for (const Tensor& result : run(inputs, ports.outputs)) {
-          if (!all_finite(result)) throw_data_loss(path + ": the module answers with values that are not finite");
+        run(inputs, ports.outputs, answers);
+        for (const Tensor& result : results) {
+          if (!all_finite(result.values))
+            throw_data_loss(path + ": the module answers with values that are not finite");
         }
       }
       if (status.largest_batch == 1) break;
@@ -277,7 +279,7 @@ std::shared_ptr<const Tensor> Engine::take_constants(Tensor constants) const {
   if (static_cast<std::int64_t>(constants.values.size()) != channels * constants.shape[1] * constants.shape[2]) {
     throw_invalid_argument("constants: not as many values as the shape says");
   }
-  if (!all_finite(constants)) throw_invalid_argument("constants: a value is not finite");
+  if (!all_finite(constants.values)) throw_invalid_argument("constants: a value is not finite");
   return std::make_shared<const Tensor>(std::move(constants));
 }
 
@@ -308,19 +310,26 @@ void Engine::check(const NetworkInput& input) const {
   }
 }
 
-std::vector<Tensor> Engine::upscale(std::span<const NetworkInput> inputs, int channels) {
+void Engine::upscale(std::span<const NetworkInput> inputs, int channels, std::span<Tensor* const> answers) {
   State& s = *state_;
-  if (inputs.empty()) return {};
+  if (inputs.empty()) return;
+  if (inputs.size() != answers.size()) throw_internal("a batch needs as many answers as inputs");
   if (channels < 0 || channels > s.ports.outputs) {
     throw_invalid_argument("answer: at most " + std::to_string(s.ports.outputs) + " channels can be asked for");
   }
   for (const NetworkInput& input : inputs) {
     check(input);
     if (input.frames->shape != inputs.front().frames->shape) throw_internal("a batch of images of several sizes");
-    if (!all_finite(*input.frames)) throw_invalid_argument("image: a value is not finite");
+    if (!all_finite(input.frames->values)) throw_invalid_argument("image: a value is not finite");
   }
   const std::lock_guard lock(s.mutex);
-  return s.run(inputs, channels == 0 ? s.ports.outputs : channels);
+  s.run(inputs, channels == 0 ? s.ports.outputs : channels, answers);
+}
+
+std::vector<Tensor> Engine::upscale(std::span<const NetworkInput> inputs, int channels) {
+  std::vector<Tensor> results(inputs.size());
+  upscale(inputs, channels, addresses(results));
+  return results;
 }
 
 Tensor Engine::upscale(const NetworkInput& input, int channels) {

@@ -79,6 +79,8 @@ class Engine {
   /// another shape. If the device runs out of memory, the batch is halved, here and from then on; kResourceExhausted if
   /// one input is too much.
   std::vector<Tensor> upscale(std::span<const NetworkInput> inputs, int channels = 0);
+  /// The same into answers, as many as inputs, whose memory is used again if it is large enough.
+  void upscale(std::span<const NetworkInput> inputs, int channels, std::span<Tensor* const> answers);
   Tensor upscale(const NetworkInput& input, int channels = 0);
 
  private:

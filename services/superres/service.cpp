@@ -148,9 +148,10 @@ grpc::Status SuperResolutionService::Upscale(
         const int channels = open.displacement_only() && enough ? kPositionChannels : 0;
         return [loaded, session, constants, channels, dtype = open.dtype()](const v1::ImageFrame& request,
                                                                             v1::ImageFrame* response) {
-          Tensor frames;
+          // Kept from frame to frame: what is new is filled with zeros first.
+          thread_local Tensor frames, answer;
           from_payload(request.image(), "frame.image", &frames);
-          const Tensor answer = loaded->upscale(std::move(frames), constants, channels);
+          loaded->upscale({&frames, constants}, channels, answer);
           response->set_index(request.index());
           response->set_time_s(request.time_s());
           *response->mutable_alignment() = request.alignment();

@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/simd.hpp"
 
@@ -250,7 +251,7 @@ void DetailImage::decode(const Tensor& answer, const Positions& coarse, const Ri
                      detail[2] * back[2];
     fine.row(v) << x[0], x[1], x[2];
   }
-  if (!fine.allFinite()) throw_invalid_argument("answer: values are not finite");
+  if (!all_finite(fine)) throw_invalid_argument("answer: values are not finite");
 }
 
 void DetailImage::answer_axes(const Positions& coarse, const RigidTransform& alignment, Tensor& axes) const {

@@ -4,6 +4,7 @@
 #include <string>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 
 namespace pleat::conversion {
@@ -87,7 +88,7 @@ void GeometryImage::shape_answer(Tensor& answer) const {
 std::vector<std::string> PositionImage::input_channels() const { return {"position_x", "position_y", "position_z"}; }
 
 void PositionImage::encode_frame(const Frame& frame, const RigidTransform& alignment, float* planes) const {
-  if (frame.positions.rows() != coarse_.vertex_count() || !frame.positions.allFinite()) {
+  if (frame.positions.rows() != coarse_.vertex_count() || !all_finite(frame.positions)) {
     throw_invalid_argument("frame " + std::to_string(frame.index) +
                            ": coarse positions of another mesh, or not finite");
   }

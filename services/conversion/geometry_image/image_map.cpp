@@ -6,6 +6,7 @@
 #include <mutex>
 #include <string>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/pool.hpp"
 #include "services/conversion/geometry_image/chart_raster.hpp"
@@ -126,7 +127,7 @@ void check_frame(const Frame& frame, const Topology& t, const char* name) {
       throw_invalid_argument("frame " + std::to_string(frame.index) + ": " + std::to_string(values.rows()) + " " +
                              name + " " + what + " for a mesh of " + std::to_string(t.vertex_count()) + " vertices");
     }
-    if (!values.allFinite()) {
+    if (!all_finite(values)) {
       throw_invalid_argument("frame " + std::to_string(frame.index) + ": " + name + " " + what + " are not finite");
     }
   };
@@ -232,7 +233,7 @@ void ImageMap::Maps::read(const Tensor& image, int first_channel, const RigidTra
     const Eigen::Vector3f aligned = sum + add(v);
     values.row(v) = transform.rotation.transpose() * aligned;
   }
-  if (!values.allFinite()) throw_invalid_argument("fine image: values are not finite");
+  if (!all_finite(values)) throw_invalid_argument("fine image: values are not finite");
 }
 
 ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec& spec)
@@ -325,7 +326,7 @@ void ImageMap::fine_image(const Frame& fine, const RigidTransform& transform, Te
 }
 
 void ImageMap::fine_planes(const Positions& values, float* planes) const {
-  if (values.rows() != maps_->fine.vertex_count() || !values.allFinite()) {
+  if (values.rows() != maps_->fine.vertex_count() || !all_finite(values)) {
     throw_invalid_argument("values of " + std::to_string(values.rows()) +
                            " fine vertices: another mesh, or not finite");
   }

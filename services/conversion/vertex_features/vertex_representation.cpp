@@ -6,6 +6,7 @@
 #include <map>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "services/conversion/vertex_features/heading.hpp"
@@ -218,7 +219,7 @@ void VertexRepresentation::vertex_features(const Frame& frame, const RigidTransf
   check_coarse(frame.positions);
   const std::size_t vertices = static_cast<std::size_t>(coarse_.vertex_count());
   const bool moves = frame.velocities.rows() > 0;
-  if (moves && (frame.velocities.rows() != coarse_.vertex_count() || !frame.velocities.allFinite())) {
+  if (moves && (frame.velocities.rows() != coarse_.vertex_count() || !all_finite(frame.velocities))) {
     throw_invalid_argument("frame " + std::to_string(frame.index) + ": velocities of another mesh, or not finite");
   }
   if (first) scratch.labels.clear();

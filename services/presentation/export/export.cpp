@@ -5,6 +5,7 @@
 #include <memory>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/own_file.hpp"
 #include "common/mesh/obj.hpp"
@@ -101,7 +102,7 @@ std::vector<std::filesystem::path> export_frames(const ExportInput& input, Expor
 
   const FrameSource frame = [&](std::size_t t) {
     Positions positions = input.frame(t);
-    if (positions.rows() != input.topology.vertex_count() || !positions.allFinite()) {
+    if (positions.rows() != input.topology.vertex_count() || !all_finite(positions)) {
       throw_invalid_argument(input.name + " frame " + std::to_string(t) + ": " + std::to_string(positions.rows()) +
                              " vertices (expected " + std::to_string(input.topology.vertex_count()) +
                              ") or a value that is not finite");

@@ -12,6 +12,7 @@
 #include "common/base/error.hpp"
 #include "common/base/json.hpp"
 #include "common/base/text_file.hpp"
+#include "common/frame/frame.hpp"
 #include "common/frame/messages.hpp"
 #include "common/mesh/holes.hpp"
 #include "common/mesh/mesh_file.hpp"
@@ -26,7 +27,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kDefaultFrameTime = 0.04;
 constexpr std::size_t kMaxWord = 64;  // names become parts of file names
 
 std::string read_text(const fs::path& path, const std::string& wanted_by) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 
 namespace pleat::presentation {
@@ -53,7 +54,7 @@ Positions checked_frame(const std::function<Positions(std::size_t)>& frame, std:
     throw_invalid_argument(name + " frame " + std::to_string(index) + " has " + std::to_string(positions.rows()) +
                            " vertices, expected " + std::to_string(vertices));
   }
-  if (!positions.allFinite()) {
+  if (!all_finite(positions)) {
     throw_invalid_argument(name + " frame " + std::to_string(index) + " has a value that is not finite");
   }
   return positions;

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "common/base/error.hpp"
+#include "common/base/limits.hpp"
 
 namespace pleat::body {
 namespace {
@@ -20,7 +21,6 @@ using Eigen::Vector3d;
 
 constexpr double kMetresPerInch = 0.0254;
 constexpr std::size_t kMaxBones = 1'000;
-constexpr std::size_t kMaxFrames = 1'000'000;
 
 /// A file by lines of words, with the line's number for messages. '#' starts a comment.
 class Words {

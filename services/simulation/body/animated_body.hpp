@@ -7,12 +7,13 @@
 #include <string>
 #include <vector>
 
+#include "common/frame/frame.hpp"
 #include "services/simulation/body/character_file.hpp"
 
 namespace pleat::body {
 
 struct MotionOptions {
-  double frame_time_s = 0.04;                              ///< of the result
+  double frame_time_s = kDefaultFrameTime;                 ///< of the result
   double start_s = 0;                                      ///< of the motion, what comes before is left out
   double end_s = std::numeric_limits<double>::infinity();  ///< of the motion, what comes after is left out
   int ease_frames = 15;  ///< from the rest pose into the motion ([DT-S] 15, [MFSR] 80)

@@ -12,6 +12,7 @@
 #include <tuple>
 
 #include "common/base/error.hpp"
+#include "common/base/limits.hpp"
 #include "services/simulation/body/acclaim.hpp"
 #include "services/simulation/body/assimp_scene.hpp"
 
@@ -23,7 +24,6 @@ using Eigen::Affine3d;
 using Eigen::Vector3d;
 
 constexpr std::uintmax_t kMaxFileBytes = 512U << 20;
-constexpr double kMaxFrames = 1e6;
 constexpr double kSmallest = 0.3, kTallest = 4.0;  // of a body, metres
 constexpr double kSameMatrix = 1e-3;               // relative
 constexpr double kScaled = 0.02;                   // a scale that an animation changes by more is worth a line
@@ -282,7 +282,7 @@ class Reader {
   void add_motion(const aiAnimation& animation) {
     const AnimationRange range = range_of(animation);
     const double count = std::floor((range.last - range.first) / range.step + 1e-6) + 1;
-    if (!(count <= kMaxFrames))
+    if (!(count <= double{kMaxFrames}))
       throw Error(ErrorCode::kResourceExhausted, source_ + ": an animation of more than 1,000,000 frames");
     Motion motion{skeleton_, range.step / range.ticks_per_second, {}};
     for (std::size_t k = 0; k < static_cast<std::size_t>(count); ++k) {

@@ -28,5 +28,19 @@ TEST(Checks, NameTheFieldAndTheFirstCulprit) {
                "faces: index 2 at 1, but there are 2");
 }
 
+TEST(Checks, OneValueThatIsNotFiniteIsFoundAnywhere) {
+  std::vector<float> values(67, -std::numeric_limits<float>::max());
+  values[3] = std::numeric_limits<float>::denorm_min();
+  ASSERT_TRUE(all_finite(values));
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    for (const float bad : {std::numeric_limits<float>::quiet_NaN(), -std::numeric_limits<float>::infinity()}) {
+      std::vector<float> spoilt = values;
+      spoilt[i] = bad;
+      EXPECT_FALSE(all_finite(spoilt)) << i;
+    }
+  }
+  EXPECT_TRUE(all_finite(std::vector<float>{}));
+}
+
 }  // namespace
 }  // namespace pleat
