@@ -39,6 +39,10 @@ std::unique_ptr<const Representation> make_representation(const Topology& coarse
     throw_invalid_argument("representation: a window of 1 to " + std::to_string(kMaxWindow) + " frames, not " +
                            std::to_string(spec.window));
   }
+  if (spec.window_stride < 1 || spec.window_stride > kMaxWindow) {
+    throw_invalid_argument("representation: a stride of 1 to " + std::to_string(kMaxWindow) + " frames, not " +
+                           std::to_string(spec.window_stride));
+  }
   Subdivision subdivision;
   if (fine != nullptr) {
     subdivision.fine = *fine;

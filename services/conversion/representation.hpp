@@ -26,7 +26,8 @@ inline constexpr int kMaxWindow = 16;
 struct RepresentationSpec {
   std::variant<GeometryImageSpec, VertexFeatureSpec> kind;
   SubdivisionSpec subdivision;
-  int window = 1;  ///< frames that the network reads, 1 to kMaxWindow
+  int window = 1;         ///< frames that the network reads, 1 to kMaxWindow
+  int window_stride = 1;  ///< from one of them to the next, 1 to kMaxWindow
 };
 
 /// What a spec says of a network's answers before there is a mesh.

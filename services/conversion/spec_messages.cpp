@@ -73,11 +73,15 @@ RepresentationSpec spec_from(const v1::Representation& message, std::int64_t max
     throw_invalid_argument("representation.subdivision_rounds: at most " + std::to_string(kMaxSubdivisionRounds) +
                            ", not " + std::to_string(message.subdivision_rounds()));
   }
-  if (message.window() > static_cast<std::uint32_t>(kMaxWindow)) {
-    throw_invalid_argument("representation.window: at most " + std::to_string(kMaxWindow) + " frames, not " +
-                           std::to_string(message.window()));
-  }
-  spec.window = std::max(1, static_cast<int>(message.window()));
+  const auto frames = [](std::uint32_t value, const char* field) {
+    if (value > static_cast<std::uint32_t>(kMaxWindow)) {
+      throw_invalid_argument("representation." + std::string(field) + ": at most " + std::to_string(kMaxWindow) +
+                             " frames, not " + std::to_string(value));
+    }
+    return std::max(1, static_cast<int>(value));
+  };
+  spec.window = frames(message.window(), "window");
+  spec.window_stride = frames(message.window_stride(), "window_stride");
   return spec;
 }
 

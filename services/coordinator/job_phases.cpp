@@ -43,12 +43,14 @@ std::vector<Eigen::Index> obstacle_vertices(const v1::Scene& scene,
   return counts;
 }
 
-/// The frames before `first` that a network with this window reads, from the file that has them.
-std::vector<v1::Frame> earlier_frames(const fs::path& partial, std::uint64_t first, std::uint32_t window,
-                                      double frame_time_s) {
+/// The frames before `first` from which the network's window is filled, from the file that has them.
+std::vector<v1::Frame> earlier_frames(const fs::path& partial, std::uint64_t first,
+                                      const v1::Representation& representation, double frame_time_s) {
   std::vector<v1::Frame> earlier;
-  if (window < 2 || first == 0) return earlier;
-  const std::uint64_t begin = first - std::min<std::uint64_t>(first, window - 1), before = begin > 0 ? begin - 1 : 0;
+  if (representation.window() < 2 || first == 0) return earlier;
+  const std::uint64_t reach =
+      std::uint64_t{representation.window() - 1} * std::max<std::uint64_t>(1, representation.window_stride());
+  const std::uint64_t begin = first - std::min(first, reach), before = begin > 0 ? begin - 1 : 0;
   const ResultReader reader(partial, FileOrigin::kOwn);
   const std::vector<Positions> positions = reader.coarse(before, first);
   for (std::uint64_t index = begin; index < first; ++index) {
@@ -234,7 +236,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   };
   const Counts before = counts_of(partial);
   std::uint64_t begin = fold ? started.opened.next_index() : frames_on_disk(partial);
-  auto earlier = earlier_frames(partial, begin, session.representation.window(), options.frame_time_s);
+  auto earlier = earlier_frames(partial, begin, session.representation, options.frame_time_s);
   Recorder recorder(result, options, subdivision, settings_.window,
                     {.stored = stored, .failed = [&](const Error& cause) { job.abort(cause); }});
   const std::uint64_t first = recorder.first_index();

@@ -194,7 +194,7 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
     : sink_(std::move(sink)),
       failed_(std::move(failed)),
       fine_vertices_(fine_vertices),
-      earlier_(session.representation.window()) {
+      earlier_(session.representation.window(), session.representation.window_stride()) {
   for (const v1::Frame& frame : session.earlier) earlier_.fill(frame);
   const auto check_fine = [fine_hash](const std::string& hash) { check_fine_hash(hash, fine_hash); };
   if (uses_network(session.detail)) {

@@ -97,6 +97,7 @@ json document_of(const Metadata& m) {
           {"subdivision_rounds", m.representation.subdivision.rounds},
           {"subdivision_rule", kRules[static_cast<std::size_t>(m.representation.subdivision.rule)]},
           {"window", m.representation.window},
+          {"window_stride", m.representation.window_stride},
           {"input", ranges_json(m.input)},
           {"output", ranges_json(m.output)}};
 }
@@ -131,6 +132,7 @@ void read_representation(const Object& object, Metadata& m) {
       object.integer("subdivision_rounds", kDefaultSubdivisionRounds, 0, kMaxSubdivisionRounds);
   m.representation.subdivision.rule = object.choice<SubdivisionRule>("subdivision_rule", kRules);
   m.representation.window = object.integer("window", 1, 1, conversion::kMaxWindow);
+  m.representation.window_stride = object.integer("window_stride", 1, 1, conversion::kMaxWindow);
   m.input = object.ranges("input");
   m.output = object.ranges("output");
 }

@@ -77,6 +77,7 @@ void visit(Visitor& v, Config& c) {
     v.range("every_epochs", c.validation.every_epochs, 1, 1000000);
   });
   v.range("window", c.window, 1, conversion::kMaxWindow);
+  v.range("window_stride", c.window_stride, 1, conversion::kMaxWindow);
   v.range("epochs", c.epochs, 1, 1000000);
   v.range("batch", c.batch, 1, 4096);
   v.range("micro_batch", c.micro_batch, 0, 4096);

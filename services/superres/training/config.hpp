@@ -76,6 +76,7 @@ struct TrainConfig {
   ImagesConfig images;                            ///< of the former
   FeaturesConfig vertex_features;                 ///< of the latter
   int window = 1;                                 ///< frames that the network reads at once
+  int window_stride = 1;                          ///< from one of them to the next
   LossConfig losses;
   OptimizerConfig optimizer;
   ScheduleConfig schedule;

@@ -17,10 +17,12 @@ FrameConverter::FrameConverter(const DatasetReader& reader, const conversion::Re
                                ThreadPool& pool, std::function<bool()> stopped)
     : reader_(reader), representation_(representation), pool_(pool), stopped_(std::move(stopped)) {}
 
-void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride, int window,
+void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride,
                          const std::function<void(std::uint64_t, Converted&)>& use) const {
   const double frame_time_s = reader_.master().frame_time_s;
-  const auto before = static_cast<std::size_t>(window);  // frames kept: velocities need one more than the window
+  const auto window = static_cast<std::size_t>(representation_.spec().window);
+  const auto step = static_cast<std::size_t>(representation_.spec().window_stride);
+  const std::size_t kept = (window - 1) * step + 2;  // velocities need one more than the window
   std::vector<Positions> coarse_before;
   Positions fine_before;
   for (std::uint64_t first = 0; first < sequence.frames_complete; first += kChunk) {
@@ -42,9 +44,9 @@ void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride, int w
       for (std::size_t i = begin; i < stop; ++i) {
         if ((first + i) % stride != 0) continue;
         std::vector<Frame> frames;
-        for (std::size_t t = before; t-- > 0;) {
+        for (std::size_t t = window; t-- > 0;) {
           const std::size_t at = known + i;
-          frames.push_back(frame_of(coarse, at >= t ? at - t : 0, {}));
+          frames.push_back(frame_of(coarse, at - std::min(at, t * step), {}));
         }
         Converted& result = results[i];
         result.alignment = representation_.align(frames.back().positions);
@@ -57,7 +59,7 @@ void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride, int w
     }
     fine_before = fine.back();
     coarse_before.assign(
-        std::make_move_iterator(coarse.end() - static_cast<std::ptrdiff_t>(std::min(coarse.size(), before + 1))),
+        std::make_move_iterator(coarse.end() - static_cast<std::ptrdiff_t>(std::min(coarse.size(), kept))),
         std::make_move_iterator(coarse.end()));
   }
 }

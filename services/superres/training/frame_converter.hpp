@@ -22,9 +22,9 @@ class FrameConverter {
   FrameConverter(const DatasetReader& reader, const conversion::Representation& representation, ThreadPool& pool,
                  std::function<bool()> stopped);
 
-  /// Calls use(frame index, converted) in frame order, for one frame in `stride`. window: frames that an input shows;
-  /// the first one of a sequence stands for those before it. Throws kDataLoss for frames that the file does not hold.
-  void run(const SequenceInfo& sequence, std::size_t stride, int window,
+  /// Calls use(frame index, converted) in frame order, for one frame in `stride`. The first frame of a sequence stands
+  /// for those before it in a window. Throws kDataLoss for frames that the file does not hold.
+  void run(const SequenceInfo& sequence, std::size_t stride,
            const std::function<void(std::uint64_t, Converted&)>& use) const;
 
  private:

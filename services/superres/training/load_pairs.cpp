@@ -50,6 +50,7 @@ conversion::RepresentationSpec make_spec(const TrainConfig& config, const MeshPa
   spec.kind = image_spec(config.images);
   if (config.representation == "vertex_features") spec.kind = features_spec(config.vertex_features);
   spec.window = config.window;
+  spec.window_stride = config.window_stride;
   const auto subdivision = find_subdivision(pair.coarse, pair.fine);
   if (subdivision && subdivision->rule != SubdivisionRule::kLoop) {
     spec.subdivision = *subdivision;
@@ -195,7 +196,7 @@ class Loader {
       const std::size_t stride = std::max<std::size_t>(1, training / kMeasuredFrames);
       for (const SequenceInfo& sequence : usable_) {
         if (in_validation(config_, sequence)) continue;
-        converter_.run(sequence, stride, config_.window, [&](std::uint64_t, Converted& frame) {
+        converter_.run(sequence, stride, [&](std::uint64_t, Converted& frame) {
           // The newest frame, which comes last.
           const std::size_t one = frame.input.values.size() / static_cast<std::size_t>(config_.window);
           inputs.add(std::span(frame.input.values).last(one), representation_->input_mask());
@@ -228,7 +229,7 @@ class Loader {
     const json content{{"topology", {loaded_.data.topology_hash, info.topology_hash}},
                        {"images", {c.layout, c.base, key_.width, key_.height, c.scale, c.method, c.lambda}},
                        {"representation", {config_.representation, f.rotation, f.axes}},
-                       {"window", config_.window},
+                       {"window", {config_.window, config_.window_stride}},
                        {"input", ranges_json(loaded_.data.input_ranges)},
                        {"output", ranges_json(loaded_.data.output_ranges)},
                        {"frames", info.frames_complete},
@@ -241,7 +242,7 @@ class Loader {
   void convert(const SequenceInfo& info, const PairFileKey& key, const std::filesystem::path& path) {
     std::size_t clamped = 0;
     PairFileWriter writer(path, key);
-    converter_.run(info, stride_of(info), config_.window, [&](std::uint64_t, Converted& frame) {
+    converter_.run(info, stride_of(info), [&](std::uint64_t, Converted& frame) {
       for (int t = 0; t < config_.window; ++t) {
         const std::size_t size = frame.input.values.size() / static_cast<std::size_t>(config_.window);
         normalize(loaded_.data.input_ranges,

@@ -45,6 +45,17 @@ TEST(EarlierFrames, AGapIsNoFrame) {
   EXPECT_EQ(fill(frames, 4), (Indices{0}));
 }
 
+TEST(EarlierFrames, AStrideLeavesFramesOut) {
+  EarlierFrames frames(3, 4);
+  for (std::uint64_t k = 0; k < 6; ++k) fill(frames, k);
+  EXPECT_EQ(fill(frames, 6), (Indices{0, 2}));
+  EXPECT_EQ(fill(frames, 7), (Indices{0, 3}));
+  for (std::uint64_t k = 8; k < 20; ++k) fill(frames, k);
+  EXPECT_EQ(fill(frames, 20), (Indices{12, 16}));
+  EXPECT_EQ(fill(frames, 20), (Indices{12, 16}));
+  EXPECT_EQ(fill(frames, 21), (Indices{13, 17}));
+}
+
 TEST(EarlierFrames, AWindowOfOneRemembersNothing) {
   EarlierFrames frames(1);
   EXPECT_TRUE(fill(frames, 0).empty());

@@ -121,6 +121,7 @@ TEST(Metadata, ContradictionsAreRefused) {
     return std::string(error_of([&](json& d) { d["representation"][key] = value; }).what());
   };
   EXPECT_THAT(representation("window", 17), HasSubstr("window"));
+  EXPECT_THAT(representation("window_stride", 17), HasSubstr("window_stride"));
   EXPECT_THAT(representation("subdivision_rounds", 6), HasSubstr("subdivision_rounds"));
   EXPECT_THAT(error_of([](json& d) { d["representation"]["input"]["scale"].erase(0); }).what(), HasSubstr("input"));
   EXPECT_THAT(error_of([](json& d) { d["representation"]["output"]["scale"][1] = -2; }).what(), HasSubstr("output"));

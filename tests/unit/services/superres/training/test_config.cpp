@@ -71,6 +71,7 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("architecture": 5)")), HasSubstr("'architecture' must be an object"));
   EXPECT_THAT(error_of(with(R"("images": {"layout": "detail"})")), HasSubstr("losses.kinematic"));
   EXPECT_THAT(error_of(with(R"("window": 17)")), HasSubstr("'window'"));
+  EXPECT_THAT(error_of(with(R"("window_stride": 0)")), HasSubstr("'window_stride'"));
   EXPECT_THAT(error_of(with(R"("images": {"coarse_width": 60})")), HasSubstr("coarse_height"));
   EXPECT_THAT(error_of(with(R"("every_frames": 2)")), HasSubstr("losses.kinematic"));
   EXPECT_THAT(error_of(with(R"("losses": {"vertices": 0.1})")), HasSubstr("'patch' = 0"));
