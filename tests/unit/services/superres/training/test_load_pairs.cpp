@@ -212,6 +212,29 @@ TEST_F(LoadPairs, WindowsShowTheFramesBefore) {
   }
 }
 
+TEST_F(LoadPairs, AStrideLeavesFramesOutOfTheWindow) {
+  write(true);
+  TrainConfig c = config();
+  c.window = 5;
+  const LoadedPairs all = load_pairs(c, quiet);
+  c.window = 3, c.window_stride = 2;
+  const LoadedPairs some = load_pairs(c, quiet);
+  ASSERT_EQ(some.data.representation.window_stride, 2);
+  const ImageStore &five = all.data.sequences[0].input, &three = some.data.sequences[0].input;
+  constexpr std::size_t kFrame = 9 * 108;
+  std::vector<float> dense(5 * kFrame), sparse(3 * kFrame);
+  for (const std::size_t f : {0U, 1U, 3U, 6U}) {
+    five.read(f, 0, 0, 9, 12, dense.data());
+    three.read(f, 0, 0, 9, 12, sparse.data());
+    for (std::size_t t = 0; t < 3; ++t) {
+      EXPECT_TRUE(std::equal(sparse.begin() + static_cast<std::ptrdiff_t>(t * kFrame),
+                             sparse.begin() + static_cast<std::ptrdiff_t>((t + 1) * kFrame),
+                             dense.begin() + static_cast<std::ptrdiff_t>(2 * t * kFrame)))
+          << f << " " << t;
+    }
+  }
+}
+
 TEST_F(LoadPairs, StopsBetweenAFewFrames) {
   write(true);
   int asked = 0;
