@@ -3,12 +3,14 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <random>
 #include <span>
 #include <string>
 #include <thread>
 
+#include "common/base/process.hpp"
 #include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
 #include "common/base/statistics.hpp"
@@ -16,6 +18,7 @@
 #include "common/client/cpp/client.hpp"
 #include "common/frame/detail.hpp"
 #include "common/frame/messages.hpp"
+#include "common/mesh/obj.hpp"
 #include "common/rpc/status.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/conversion/spec_messages.hpp"
@@ -48,6 +51,17 @@ Extents input_size(const v1::Representation& message, const Topology& garment) {
   return {shape.at(1), shape.at(2)};
 }
 
+/// The shipped garment that a bundle was trained for; `fallback` if there is none, or the bundle serves any.
+Topology garment_of(const v1::ModelDescription& model, const Topology& fallback) {
+  if (model.topology_hash().empty()) return fallback;
+  for (const auto& file : fs::directory_iterator(shipped_file("garments"))) {
+    if (file.path().extension() != ".obj") continue;
+    Topology garment = read_obj(file.path());
+    if (topology_hash(garment) == model.topology_hash()) return garment;
+  }
+  return fallback;
+}
+
 /// Random values: (channels, height, width).
 v1::Tensor random_image(std::int64_t channels, const Extents& size) {
   std::mt19937 random(1);
@@ -64,7 +78,7 @@ std::vector<double> infer(SuperresProcess& service, const std::string& model, co
   const auto stream = service.stream();
   const v1::ModelDescription description = service.describe(model);
   const v1::Representation& representation = description.representation();
-  const Extents size = input_size(representation, garment);
+  const Extents size = input_size(representation, garment_of(description, garment));
   v1::UpscaleRequest request;
   request.mutable_open()->set_model(model);
   request.mutable_open()->set_window(1);
