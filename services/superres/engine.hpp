@@ -38,7 +38,7 @@ struct EngineStatus {
   std::string device;     ///< "cpu" or "cuda:0"
   std::string precision;  ///< "float32" or "bfloat16"
   std::string processor;  ///< the processor's own name
-  std::string kernels;    ///< "AVX-512 bfloat16", "AVX-512", "AVX2", or "TorchScript"
+  std::string kernels;    ///< "AMX bfloat16", "AVX-512 bfloat16", "AVX-512", "AVX2", or "TorchScript"
   int threads = 0;
   int largest_batch = 0;  ///< smaller than asked for if the device ran out of memory
 };

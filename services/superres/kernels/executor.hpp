@@ -13,7 +13,7 @@ struct ExecutorOptions {
   /// At most. An image takes all of them or one, whichever was faster lately: threads that meet at every layer wait for
   /// each other long where something else runs on the same processors. The result is the same, bit for bit.
   int threads = 1;
-  bool base_instructions = false;  ///< only those that the program is built for, for tests
+  bool base_instructions = false;  ///< only those that the program is built for, and no tiles; for tests
 };
 
 /// One network. Not thread-safe: one inference at a time.

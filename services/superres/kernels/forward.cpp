@@ -130,7 +130,7 @@ Description without_shuffle(Description network, int& factor) {
 Net::Net(const Description& description, Size input, bool bfloat16, bool base_instructions)
     : network(without_shuffle(description, shuffle)),
       plain(&float32_kernels(base_instructions)),
-      body(bfloat16 ? &bfloat16_kernels() : plain),
+      body(bfloat16 ? &bfloat16_kernels(base_instructions) : plain),
       layout(network, input, std::max(plain->lanes, body->lanes), body->element) {
   for (const Size& size : layout.sizes) geometries.emplace_back(size.height, size.width);
   for (std::size_t i = 0; i < network.layers.size(); ++i) {

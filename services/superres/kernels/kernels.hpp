@@ -126,19 +126,22 @@ struct Kernels {
   void (*add_taps)(const float* sums, int k, int n, float* taps);
 };
 
-inline constexpr int kLargestRows = 12;       ///< rows of the largest matrix product
+inline constexpr int kLargestRows = 32;       ///< rows of the largest matrix product
 inline constexpr int kLargestOutputs = 1024;  ///< of a 1x1 convolution
 inline constexpr std::size_t kScratch = static_cast<std::size_t>(kPoints) * kLargestRows * 32;
 
 /// True if this processor has AVX-512 with bfloat16 products, and this build knows them.
 bool has_bfloat16();
-/// Throws kFailedPrecondition without has_bfloat16().
-const Kernels& bfloat16_kernels();
+/// True if has_bfloat16(), and the processor has AMX's tiles of bfloat16 and the system lets this process use them.
+bool has_tiles();
+/// The best of this processor, or those without tiles. Throws kFailedPrecondition without has_bfloat16().
+const Kernels& bfloat16_kernels(bool base_instructions);
 /// The best of this processor, or those that the whole program is built for.
 const Kernels& float32_kernels(bool base_instructions);
 
 extern const Kernels kBaseFloat32;  ///< the instruction set that the whole program is built for
 extern const Kernels kAvx512Float32;
 extern const Kernels kAvx512Bfloat16;
+extern const Kernels kAmxBfloat16;
 
 }  // namespace pleat::superres::kernels

@@ -10,26 +10,6 @@ inline Vec broadcast(float value) { return Vec{} + value; }
 inline Vec load(const float* p) { return *reinterpret_cast<const Vec*>(p); }
 inline void store(float* p, Vec v) { *reinterpret_cast<Vec*>(p) = v; }
 
-/// Features in float32.
-struct Float32 {
-  using Element = float;
-  static constexpr int kGroup = 1;
-  static Vec read(const float* p) { return load(p); }
-  static void write(float* p, Vec v) { store(p, v); }
-
-  /// kGroup factors for each lane: those at p, or the same for all.
-  using Factors = Vec;
-  static Factors factors(const float* p) { return load(p); }
-  static Factors factor(const float* p) { return broadcast(*p); }
-  static Vec add_products(Vec sum, Factors x, Factors w) { return sum + x * w; }
-
-  /// One group: its only member.
-  static void write_group(float* p, const Vec* v) { store(p, v[0]); }
-
-  /// Weights of one point in packed order: row i, column block of `width`.
-  static void write_weights(float* block, int i, int width, int column, Vec v) { store(block + i * width + column, v); }
-};
-
 /// A matrix product whose sums stay in registers: c (rows, N kLanes) = sum over the steps of a (rows, kGroup) times
 /// b (kGroup, N kLanes). Strides in elements; those of b and c are multiples of kLanes.
 template <class Element>
@@ -67,6 +47,34 @@ void multiply_rows(int rows, const Product<typename Type::Element>& p) {
     for (int n = 0; n < N; ++n) store(p.c + m * p.c_row + n * kLanes, sums[m][n]);
   }
 }
+
+/// Features in float32.
+struct Float32 {
+  using Element = float;
+  static constexpr int kGroup = 1;
+  static Vec read(const float* p) { return load(p); }
+  static void write(float* p, Vec v) { store(p, v); }
+
+  /// kGroup factors for each lane: those at p, or the same for all.
+  using Factors = Vec;
+  static Factors factors(const float* p) { return load(p); }
+  static Factors factor(const float* p) { return broadcast(*p); }
+  static Vec add_products(Vec sum, Factors x, Factors w) { return sum + x * w; }
+
+  /// One group: its only member.
+  static void write_group(float* p, const Vec* v) { store(p, v[0]); }
+
+  /// Weights of one point in packed order: row i, column block of `width`.
+  static void write_weights(float* block, int i, int width, int column, Vec v) { store(block + i * width + column, v); }
+
+  static constexpr int kRows = kMost;
+  static void begin_products(int) {}
+  static void end_products() {}
+  template <int N>
+  static void multiply(int rows, const Product<Element>& p) {
+    multiply_rows<Float32, N>(rows, p);
+  }
+};
 
 /// One dimension of the input transform: 6 pixels to 6 points (0, 1, -1, 2, -2, infinity).
 inline void transform6(Vec& a, Vec& b, Vec& c, Vec& d, Vec& e, Vec& f) {
@@ -175,9 +183,10 @@ void convolve3_block(const Geometry& g, const ConvolutionCall& call, int tile, i
   const Element* input = static_cast<const Element*>(call.input) + (tile - call.origin * g.tiles_x) * tiles;
   const Element* weights = static_cast<const Element*>(call.weights) + static_cast<long>(first) * call.k;
   for (int p = 0; p < kPoints; ++p) {
-    multiply_rows<Type, N>(rows, {input + p * points, tiles, Type::kGroup,
-                                  weights + static_cast<long>(p) * call.k * call.n, kWidth * Type::kGroup,
-                                  call.k / Type::kGroup, call.scratch + static_cast<long>(p) * rows * kWidth, kWidth});
+    Type::template multiply<N>(
+        rows,
+        {input + p * points, tiles, Type::kGroup, weights + static_cast<long>(p) * call.k * call.n,
+         kWidth * Type::kGroup, call.k / Type::kGroup, call.scratch + static_cast<long>(p) * rows * kWidth, kWidth});
   }
   for (int m = 0; m < rows; ++m) {
     for (int n = 0; n < N; ++n) {
@@ -189,21 +198,23 @@ void convolve3_block(const Geometry& g, const ConvolutionCall& call, int tile, i
 template <class Type>
 void convolve3(const Geometry& g, const ConvolutionCall& call, int begin, int end) {
   const int first = begin * g.tiles_x, count = (end - begin) * g.tiles_x;
-  const int blocks = (count + kMost - 1) / kMost;
+  const int blocks = (count + Type::kRows - 1) / Type::kRows;
   for (int b = 0; b < blocks; ++b) {
     const int tile = static_cast<int>(static_cast<long>(count) * b / blocks);
     const int rows = static_cast<int>(static_cast<long>(count) * (b + 1) / blocks) - tile;
+    Type::begin_products(rows);
     int n = 0;
     for (; n + 2 * kLanes <= call.n; n += 2 * kLanes) convolve3_block<Type, 2>(g, call, first + tile, rows, n);
     if (n < call.n) convolve3_block<Type, 1>(g, call, first + tile, rows, n);
   }
+  Type::end_products();
 }
 
 template <class Type>
 void convolve1(const Geometry& g, const ConvolutionCall& call, int begin, int end) {
   using Element = typename Type::Element;
   const int last = end * kTile < g.height ? end * kTile : g.height;
-  const int blocks = (g.width + kMost - 1) / kMost;
+  const int blocks = (g.width + Type::kRows - 1) / Type::kRows;
   const Element* weights = static_cast<const Element*>(call.weights);
   for (int y = begin * kTile; y < last; ++y) {
     for (int b = 0; b < blocks; ++b) {
@@ -221,9 +232,10 @@ void convolve1(const Geometry& g, const ConvolutionCall& call, int begin, int en
                 call.scratch + n * rows,
                 width};
       };
+      Type::begin_products(rows);
       int n = 0;
-      for (; n + 2 * kLanes <= call.n; n += 2 * kLanes) multiply_rows<Type, 2>(rows, product(n, 2 * kLanes));
-      if (n < call.n) multiply_rows<Type, 1>(rows, product(n, kLanes));
+      for (; n + 2 * kLanes <= call.n; n += 2 * kLanes) Type::template multiply<2>(rows, product(n, 2 * kLanes));
+      if (n < call.n) Type::template multiply<1>(rows, product(n, kLanes));
       for (n = 0; n < call.n; n += kLanes) {
         // A block has two vectors a row, but for a last one alone.
         const int width = (n / kLanes) % 2 == 0 && n + kLanes == call.n ? kLanes : 2 * kLanes;
@@ -232,6 +244,7 @@ void convolve1(const Geometry& g, const ConvolutionCall& call, int begin, int en
       }
     }
   }
+  Type::end_products();
 }
 
 template <class Type>

@@ -13,7 +13,7 @@ struct TrainableOptions {
   Size input;                      ///< texels
   bool bfloat16 = false;           ///< all layers but the exact ones; needs has_bfloat16()
   int threads = 1;                 ///< one image each
-  bool base_instructions = false;  ///< only those that the program is built for, for tests
+  bool base_instructions = false;  ///< only those that the program is built for, and no tiles; for tests
 };
 
 /// Not thread-safe.
