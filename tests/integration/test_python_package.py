@@ -47,6 +47,9 @@ class Package(unittest.TestCase):
     def tearDownClass(cls):
         cls.client.close()
 
+    def test_the_version_is_the_projects(self):
+        self.assertIn(f"project(pleat VERSION {pleat.__version__} ", (SOURCE / "CMakeLists.txt").read_text())
+
     def test_frames_come_back_in_order_and_clean(self):
         with self.client.session(GARMENT, model="draping") as session:
             self.assertEqual(session.fine.positions.shape, (11393, 3))
@@ -77,6 +80,11 @@ class Package(unittest.TestCase):
             frames = list(session.enhance(waves(2)))
         self.assertIn("fold", frames[1].stage_ms)
         self.assertNotIn("superres", frames[1].stage_ms)
+        with self.client.session(GARMENT, detail="fold", material=SOURCE / "deploy/materials/felt.json") as session:
+            felt = list(session.enhance(waves(2)))
+        self.assertGreater(np.abs(felt[1].positions - frames[1].positions).max(), 1e-5)
+        with self.assertRaisesRegex(pleat.PleatError, "749"):
+            self.client.session(GARMENT, detail="fold", held=[749])
         with self.assertRaisesRegex(ValueError, "network, fold and both"):
             self.client.session(GARMENT, detail="folds")
 
@@ -114,6 +122,9 @@ class Package(unittest.TestCase):
         job = self.client.jobs()[0]
         self.assertEqual((job.state, job.frames_complete), ("done", 3))
         self.assertEqual(self.client.job(job.id).scene, job.scene)
+        self.assertEqual(list(self.client.watch(job.id))[-1], job)
+        with self.assertRaisesRegex(pleat.PleatError, "nobody"):
+            list(self.client.watch("nobody"))
         with self.assertRaisesRegex(pleat.PleatError, "no-scene.json"):
             self.client.run("no-scene.json")
 

@@ -1,10 +1,15 @@
 """The package `pleat`. Built by `make python`, which puts the generated messages in pleat/v1 first."""
 
+import pathlib
+
 from setuptools import setup
+
+version: dict = {}
+exec((pathlib.Path(__file__).parent / "pleat/version.py").read_text(), version)  # build.sh writes it
 
 setup(
     name="pleat",
-    version="0.2.0",
+    version=version["__version__"],
     description="Client of Pleat: coarse cloth frames in, detailed collision-free fine frames out",
     license="Apache-2.0",
     packages=["pleat", "pleat.v1"],

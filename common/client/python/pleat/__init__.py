@@ -13,8 +13,9 @@ Results and data sets are read as arrays, too: `Result("out/demo/result.h5").enh
 from pleat.client import Client, EnhancedFrame, FrameFailed, Job, PleatError, Session, connect
 from pleat.files import Dataset, Result, Sequence
 from pleat.mesh import Mesh, Obstacle, capsules, moving_mesh, read_obj, sphere
+from pleat.version import __version__
 
 __all__ = [
     "Client", "Dataset", "EnhancedFrame", "FrameFailed", "Job", "Mesh", "Obstacle", "PleatError", "Result", "Sequence",
-    "Session", "capsules", "connect", "moving_mesh", "read_obj", "sphere"
+    "Session", "__version__", "capsules", "connect", "moving_mesh", "read_obj", "sphere"
 ]

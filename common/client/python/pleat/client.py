@@ -8,7 +8,7 @@ import queue
 import subprocess
 import tempfile
 from dataclasses import dataclass
-from typing import Dict, Iterable, Iterator, List, Optional, Sequence as Sequence_
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Sequence as Sequence_
 
 import grpc
 import numpy as np
@@ -62,7 +62,7 @@ class Session:
     """A live session. Close it, or use it in a `with`."""
 
     def __init__(self, client: "Client", garment: Mesh, model: str, frame_time_s: float, obstacles: Sequence_[Obstacle],
-                 window: int, rounds: Optional[int], detail: str) -> None:
+                 window: int, rounds: Optional[int], detail: str, material: str, held: Sequence_[int]) -> None:
         self._address = client.address
         self._obstacles = list(obstacles)
         self._frame_time_s = frame_time_s
@@ -72,6 +72,10 @@ class Session:
             coarse=_topology(garment), model=model, frame_time_s=frame_time_s, window=window, detail=_detail(detail),
             obstacles=[common_pb2.ObstacleShape(name=o.name, faces=o.faces.ravel(), capsules=o.capsules)
                        for o in self._obstacles])
+        if material:
+            opening.material.json = material
+        if len(held) > 0:
+            opening.handles.add().vertices.extend(int(vertex) for vertex in held)
         if rounds is not None:
             opening.subdivision_rounds = rounds
         self._vertices = len(garment.positions)
@@ -161,12 +165,14 @@ class Client:
 
     def session(self, garment: Mesh, *, model: str = "", frame_time_s: float = 0.04,
                 obstacles: Sequence_[Obstacle] = (), window: int = 0, rounds: Optional[int] = None,
-                detail: str = "") -> Session:
+                detail: str = "", material: "str | os.PathLike[str]" = "", held: Sequence_[int] = ()) -> Session:
         """Opens a live session. model: a bundle's name, "" for the coordinator's default. window: frames in flight, 0
         for 4. rounds: of subdivision from the coarse to the fine mesh, None for the bundle's. detail: what makes the
         wrinkles, "network", "fold" (the fold step, which needs no bundle) or "both"; "": a network where a bundle is
-        named, else the fold step."""
-        return Session(self, garment, model, frame_time_s, obstacles, window, rounds, detail)
+        named, else the fold step. For the fold step: material, a file in ARCSim's format, "" for Gray Interlock; held,
+        coarse vertices that the cloth is held at all the time."""
+        text = pathlib.Path(material).read_text(encoding="utf-8") if material else ""
+        return Session(self, garment, model, frame_time_s, obstacles, window, rounds, detail, text, held)
 
     def run(self, scene: "str | os.PathLike[str]", out: "str | os.PathLike[str] | None" = None, *, model: str = "",
             frames: int = 0) -> Result:
@@ -194,6 +200,15 @@ class Client:
     def cancel_job(self, job_id: str) -> Job:
         return _job(self._ask(self._stub.CancelJob, coordinator_pb2.CancelJobRequest(id=job_id)))
 
+    def watch(self, job_id: str) -> Iterator[Job]:
+        """The job as it changes, at least every second while it runs; the last is how it ended."""
+        try:
+            for event in self._stub.WatchJob(coordinator_pb2.WatchJobRequest(id=job_id)):
+                if event.HasField("progress"):
+                    yield _job(event.progress)
+        except grpc.RpcError as error:
+            raise _error(self.address, error) from None
+
     def close(self) -> None:
         self._channel.close()
         if self._services:
@@ -205,7 +220,7 @@ class Client:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _ask(self, call, request):  # type: ignore[no-untyped-def]
+    def _ask(self, call: Callable[..., Any], request: Any) -> Any:
         try:
             return call(request, timeout=30)
         except grpc.RpcError as error:
@@ -232,7 +247,7 @@ def _detail(name: str) -> int:
              "both": common_pb2.DETAIL_BOTH}
     if name not in known:
         raise ValueError(f"detail '{name}': there are network, fold and both")
-    return known[name]
+    return int(known[name])
 
 
 def _topology(mesh: Mesh) -> common_pb2.Topology:
@@ -271,7 +286,7 @@ def _job(message: coordinator_pb2.Job) -> Job:
 def _code_name(code: int) -> str:
     for status in grpc.StatusCode:
         if status.value[0] == code:
-            return status.name
+            return str(status.name)
     return "UNKNOWN"
 
 

@@ -8,6 +8,7 @@ from typing import Any, List
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
 from pleat.mesh import Mesh
 
@@ -43,9 +44,9 @@ class _Frames:
         return self._file["fine/positions"]
 
     @property
-    def times(self) -> np.ndarray:
+    def times(self) -> npt.NDArray[np.float64]:
         """(T,) seconds."""
-        return self._file["time_s"][:self.frames]
+        return np.asarray(self._file["time_s"][:self.frames])
 
 
 class Result(_Frames):
@@ -64,13 +65,13 @@ class Result(_Frames):
         """The coarse or the fine mesh at rest."""
         return _mesh(self._file["topology"][which])
 
-    def stage_ms(self, stage: str) -> np.ndarray:
+    def stage_ms(self, stage: str) -> npt.NDArray[np.floating[Any]]:
         """(T,) milliseconds of a stage, for example "superres"."""
-        return self._file[f"stages/{stage}/ms"][:self.frames]
+        return np.asarray(self._file[f"stages/{stage}/ms"][:self.frames])
 
-    def count(self, name: str) -> np.ndarray:
+    def count(self, name: str) -> npt.NDArray[np.unsignedinteger[Any]]:
         """(T,) numbers per frame, for example "self_intersections"."""
-        return self._file[f"counts/{name}"][:self.frames]
+        return np.asarray(self._file[f"counts/{name}"][:self.frames])
 
 
 class Sequence(_Frames):
@@ -91,7 +92,7 @@ class Dataset:
             self.frame_time_s = float(master.attrs["frame_time_s"])
             self.coarse = _mesh(master["topology/coarse"])
             self.fine = _mesh(master["topology/fine"])
-            self.feature_vertices: np.ndarray = master["topology/feature_vertices"][:]
+            self.feature_vertices: npt.NDArray[np.uint32] = master["topology/feature_vertices"][:]
             names = sorted(master["sequences"])
         #: Those that are finished.
         self.names: List[str] = [name for name in names if self._file(name).exists()]

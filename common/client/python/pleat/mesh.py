@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
-from typing import Callable, List, Optional, Tuple
+from typing import Any, Callable, List, Optional, Tuple
 
 import numpy as np
 import numpy.typing as npt
@@ -60,7 +60,7 @@ def sphere(name: str, centers: npt.ArrayLike, radius: float) -> Obstacle:
     """A sphere with its centre in each frame, (T, 3), or one that rests, (3,). After the last frame it stays."""
     path = np.asarray(centers, np.float64).reshape(-1, 3)
     return Obstacle(name, _NO_FACES, 0,
-                    lambda k: ObstacleState(center=tuple(path[min(k, len(path) - 1)]), radius=float(radius)))
+                    lambda k: ObstacleState(center=_point(path[min(k, len(path) - 1)]), radius=float(radius)))
 
 
 def capsules(name: str, ends: npt.ArrayLike, radii: npt.ArrayLike) -> Obstacle:
@@ -109,12 +109,16 @@ def read_obj(path: "str | os.PathLike[str]") -> Mesh:
                 np.array(uv_faces, np.uint32))
 
 
+def _point(values: npt.NDArray[np.float64]) -> Tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
 def _index(word: str, count: int) -> int:
     number = int(word)
     return number - 1 if number > 0 else count + number
 
 
-def _shaped(values: npt.ArrayLike, dtype: npt.DTypeLike, columns: int, name: str) -> npt.NDArray:
+def _shaped(values: npt.ArrayLike, dtype: npt.DTypeLike, columns: int, name: str) -> npt.NDArray[Any]:
     array = np.ascontiguousarray(values, dtype)
     if array.size == 0:
         return np.zeros((0, columns), dtype)
