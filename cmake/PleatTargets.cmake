@@ -1,6 +1,11 @@
 # pleat_library(NAME SOURCES... LINK PUBLIC_LIBS...): a static library with our include root, warnings and -march.
 function(pleat_common_options target)
   target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR})
+  pleat_private_options(${target})
+endfunction()
+
+# Warnings, -march and sanitizers: what nobody who links the target inherits.
+function(pleat_private_options target)
   target_link_libraries(${target} PRIVATE pleat_warnings)
   if(PLEAT_ARCH)
     target_compile_options(${target} PRIVATE -march=${PLEAT_ARCH})

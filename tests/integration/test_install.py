@@ -1,7 +1,10 @@
 #!/usr/bin/env python3
-"""test_install.py BUILD: what is installed into an empty prefix works from another folder, without the source tree."""
+"""test_install.py SOURCE BUILD: what is installed into an empty prefix works from another folder, without the source tree:
+the programs, a C++ program by find_package and by pkg-config, and a Python program."""
 import os
 import pathlib
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -19,8 +22,49 @@ f 2/2 3/3 4/4
 """
 
 
+def check_clients(source, prefix, home, environment):
+    """A program in C++ and one in Python, both against one `pleat up`."""
+
+    def run(*words, **more):
+        done = subprocess.run([str(word) for word in words], cwd=home, env=environment | more, capture_output=True,
+                              text=True, timeout=200)
+        assert done.returncode == 0, f"{words}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done.stdout
+
+    program = home / "consumer"
+    program.mkdir()
+    for name in ("tests/integration/consumer/CMakeLists.txt", "common/client/cpp/example/enhance.cpp",
+                 "common/client/python/example/enhance_and_plot.py"):
+        shutil.copy(source / name, program)
+    # No flag of ours: the library keeps its own apart.
+    run("cmake", "-S", program, "-B", program / "build", f"-DCMAKE_PREFIX_PATH={prefix}")
+    run("cmake", "--build", program / "build")
+    config = next(prefix.rglob("pleat.pc"))
+    flags = run("pkg-config", "--cflags", "--libs", "pleat", PKG_CONFIG_PATH=str(config.parent)).split()
+    include = next(flag[2:] for flag in flags if flag.startswith("-I") and str(prefix) in flag)
+    assert (pathlib.Path(include) / "pleat/client.hpp").is_file() and "-lpleat-client" in flags, flags
+    headers = list((prefix / "include").rglob("*.h*"))
+    assert headers and not any(re.search(r"#\s*include\s*<Eigen", path.read_text()) for path in headers)
+
+    garment = prefix / "share/pleat/garments/tablecloth.obj"
+    up = subprocess.Popen(["pleat", "up", "--data", home / "services"], cwd=home, env=environment, stdout=subprocess.PIPE,
+                          text=True)
+    try:
+        address = next((line.split()[1] for line in up.stdout if line.startswith("ready ")), None)
+        assert address, f"`pleat up` ended before it was ready, exit code {up.wait()}"
+        said = run(program / "build/enhance", address, garment, 4, "fine.obj")
+        assert "749 -> 11393 vertices" in said and said.count(" 0 self-intersections") == 4, said
+        packages = next(prefix.rglob("dist-packages"))
+        said = run("/usr/bin/python3", program / "enhance_and_plot.py", garment, PYTHONPATH=str(packages),
+                   PLEAT_COORDINATOR=address)
+        assert "749 -> 11393 vertices" in said, said
+    finally:
+        up.terminate()
+        up.wait()
+
+
 def main():
-    build = pathlib.Path(sys.argv[1]).resolve()
+    source, build = (pathlib.Path(argument).resolve() for argument in sys.argv[1:3])
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         prefix = folder / "usr"
@@ -48,9 +92,10 @@ def main():
         assert (home / "result" / "report.html").stat().st_size > 100_000
         pleat("export", "result/result.h5", "--format", "glb")
         assert (home / "result" / "glb" / "enhanced.glb").read_bytes()[:4] == b"glTF"
+        check_clients(source, prefix, home, environment)
         outside = [path for path in folder.rglob("*") if path.suffix in (".h5", ".partial") and home not in path.parents]
         assert not outside, outside
-    print("installed programs work")
+    print("installed programs and clients work")
 
 
 main()

@@ -6,7 +6,7 @@
 #include <sstream>
 #include <string>
 
-#include "common/client/cpp/client.hpp"
+#include <pleat/client.hpp>
 
 namespace client = pleat::client;
 
