@@ -22,6 +22,9 @@ EdgeRatios ratios_of(std::vector<double> ratios) {
   return {*middle, *std::max_element(ratios.begin(), ratios.end())};
 }
 
+// Of the width of what lies there: charts of different meshes don't touch.
+constexpr float kGapBetween = 0.02f;
+
 std::string number(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.3g", value);
@@ -41,6 +44,13 @@ void note_size(const Topology& garment, const std::string& name, std::vector<std
     notes.push_back(name + ": is " + number(static_cast<double>(extent)) +
                     " m large; if it is in another unit, give --scale (data sets: --garment-scale) with its metres");
   }
+}
+
+template <typename Rows>
+void append(Rows& rows, const Rows& more) {
+  const Eigen::Index before = rows.rows();
+  rows.conservativeResize(before + more.rows(), Eigen::NoChange);
+  rows.bottomRows(more.rows()) = more;
 }
 
 }  // namespace
@@ -102,6 +112,22 @@ void require_frame_of(const Positions& frame, const Topology& rest, const std::s
   throw_invalid_argument(frame_name + ": edges are " + number(ratios.median) +
                          " times as long as at rest on the median, " + number(ratios.most) + " times at most: " +
                          (unit ? "are both in metres?" : "is the vertex order that of " + rest_name + "?"));
+}
+
+Topology join_garments(const std::vector<Topology>& garments) {
+  Topology joined = garments.at(0);
+  for (std::size_t g = 1; g < garments.size(); ++g) {
+    Topology next = garments[g];
+    next.faces.array() += static_cast<std::uint32_t>(joined.vertex_count());
+    next.uv_faces.array() += static_cast<std::uint32_t>(joined.uv.rows());
+    const float low = joined.uv.col(0).minCoeff(), high = joined.uv.col(0).maxCoeff();
+    next.uv.col(0).array() += high + kGapBetween * (high - low) - next.uv.col(0).minCoeff();
+    append(joined.rest_positions, next.rest_positions);
+    append(joined.faces, next.faces);
+    append(joined.uv, next.uv);
+    append(joined.uv_faces, next.uv_faces);
+  }
+  return joined;
 }
 
 }  // namespace pleat

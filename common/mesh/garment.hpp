@@ -13,6 +13,10 @@ namespace pleat {
 /// are in the same unit. `notes` gets a line for each change and for an unusual size. Throws as both.
 Topology read_garment(const std::filesystem::path& path, std::vector<std::string>& notes, double scale = 1);
 
+/// Several garments as one mesh of as many pieces: vertices and faces of the first, then of the next; the material
+/// coordinates of every one lie beside those before it, at larger u. Throws std::out_of_range if there are none.
+Topology join_garments(const std::vector<Topology>& garments);
+
 /// Lengths of edges over others of the same edges.
 struct EdgeRatios {
   double median = 1, most = 1;

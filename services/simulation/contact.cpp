@@ -99,6 +99,7 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
   }
   boxes_.resize(particle_count_);
   find_neighbours();
+  find_layers();
 }
 
 ClosestPoints ContactSystem::closest(const Pair& pair, const Points& x) const {
@@ -176,6 +177,20 @@ SweptBox ContactSystem::face_box(std::uint32_t f) const {
   box.extend(boxes_[faces_[f][1]]);
   box.extend(boxes_[faces_[f][2]]);
   return box;
+}
+
+// The children of a coarse face are as many of the finer mesh's faces, in its order (subdivide()).
+void ContactSystem::find_layers() {
+  if (scene_.layers.empty()) return;
+  const std::size_t children = cloth_faces_ / static_cast<std::size_t>(scene_.garment.face_count());
+  layers_.assign(cloth_count_, 0);
+  std::size_t f = 0;
+  for (std::uint32_t l = 0; l < scene_.layers.size(); ++l) {
+    const std::size_t last = f + children * static_cast<std::size_t>(scene_.layers[l].faces);
+    for (; f < last; ++f) {
+      for (const std::uint32_t v : faces_[f]) layers_[v] = l;
+    }
+  }
 }
 
 void ContactSystem::find_neighbours() {

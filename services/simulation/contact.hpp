@@ -64,6 +64,8 @@ class ContactSystem {
   std::span<const std::array<std::uint32_t, 3>> cloth_faces() const { return std::span(faces_).first(cloth_faces_); }
   /// Of the cloth, then of the obstacle meshes.
   std::span<const std::array<std::uint32_t, 2>> edges() const { return edges_; }
+  /// Per cloth vertex, which of the scene's layers it belongs to. Empty where there are none.
+  std::span<const std::uint32_t> layers() const { return layers_; }
 
   /// Particle positions of the obstacles in their scripted places at a time, in particle order from cloth_count() on.
   Points obstacle_particles(double time_s) const;
@@ -125,6 +127,8 @@ class ContactSystem {
   bool apart(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end) const;
   double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
   void find_neighbours();
+  void find_layers();
+  std::string name_of_face(std::uint32_t f) const;
   bool is_joined(std::uint32_t f, std::uint32_t g) const;
   void add_neighbours(const Points& start, const Points& end, ThreadPool& pool);
   SweptBox face_box(std::uint32_t f) const;
@@ -143,6 +147,7 @@ class ContactSystem {
   // Every vertex and every edge belongs to one of its faces, so that a pair of them is met once only.
   std::vector<std::array<std::uint32_t, 3>> own_edges_;     // edges that a face owns, kNone elsewhere
   std::vector<std::array<std::uint32_t, 3>> own_vertices_;  // likewise
+  std::vector<std::uint32_t> layers_;                       // of cloth vertices
   std::vector<double> areas_;                               // of cloth vertices
   std::vector<double> edge_areas_, face_areas_;
   std::vector<std::uint32_t> first_particle_, first_face_;  // per obstacle, and the ends; no faces: not a mesh

@@ -173,6 +173,18 @@ std::vector<Violation> ContactSystem::violations(const Points& x, ThreadPool& po
   return found;
 }
 
+// In messages a face counts within its layer.
+std::string ContactSystem::name_of_face(std::uint32_t f) const {
+  const std::size_t children = cloth_faces_ / static_cast<std::size_t>(scene_.garment.face_count());
+  std::size_t first = 0;
+  for (const GarmentLayer& layer : scene_.layers) {
+    const std::size_t count = children * static_cast<std::size_t>(layer.faces);
+    if (f < first + count) return std::to_string(f - first) + " of '" + layer.name + "'";
+    first += count;
+  }
+  return std::to_string(f);
+}
+
 std::string ContactSystem::describe(const Violation& violation) const {
   const auto name = [](std::uint32_t i) { return std::to_string(i); };
   const std::string obstacle =
@@ -181,9 +193,10 @@ std::string ContactSystem::describe(const Violation& violation) const {
     case Violation::Kind::kCrossing:
       if (obstacle.empty()) {
         const auto [f, g] = std::minmax(violation.face, violation.other_face);
+        if (!layers_.empty()) return "faces " + name_of_face(f) + " and " + name_of_face(g) + " intersect";
         return "faces " + name(f) + " and " + name(g) + " of the cloth intersect";
       }
-      return "face " + name(violation.face) + " of the cloth cuts " + obstacle;
+      return "face " + name_of_face(violation.face) + (layers_.empty() ? " of the cloth cuts " : " cuts ") + obstacle;
     case Violation::Kind::kInside:
       return "vertex " + name(violation.particles[0]) + " of the cloth is inside " + obstacle;
     case Violation::Kind::kTouch:

@@ -65,6 +65,34 @@ void check_motion(const Scene& scene, const Motion& motion, const std::string& w
   }
 }
 
+void check_layers(const Scene& scene) {
+  if (scene.layers.empty()) return;
+  Eigen::Index first = 0;
+  std::vector<std::size_t> layer_of(static_cast<std::size_t>(scene.garment.vertex_count()), scene.layers.size());
+  for (std::size_t l = 0; l < scene.layers.size(); ++l) {
+    const GarmentLayer& layer = scene.layers[l];
+    if (layer.faces < 1 || layer.faces > scene.garment.face_count() - first) {
+      fail(scene, "layer '" + layer.name + "' has " + std::to_string(layer.faces) + " of the " +
+                      std::to_string(scene.garment.face_count() - first) + " faces that are left");
+    }
+    for (Eigen::Index f = first; f < first + layer.faces; ++f) {
+      for (int k = 0; k < 3; ++k) {
+        std::size_t& of = layer_of[scene.garment.faces(f, k)];
+        if (of < l) {
+          fail(scene, "layers '" + scene.layers[of].name + "' and '" + layer.name + "' share vertex " +
+                          std::to_string(scene.garment.faces(f, k)));
+        }
+        of = l;
+      }
+    }
+    first += layer.faces;
+  }
+  if (first < scene.garment.face_count()) {
+    fail(scene, "the layers have " + std::to_string(first) + " of the garment's " +
+                    std::to_string(scene.garment.face_count()) + " faces");
+  }
+}
+
 void check_handles(const Scene& scene) {
   for (std::size_t h = 0; h < scene.handles.size(); ++h) {
     const Handle& handle = scene.handles[h];
@@ -152,6 +180,7 @@ void check_tracking(const Scene& scene) {
 void validate_scene(const Scene& scene) {
   validate_topology(scene.garment, "scene '" + scene.name + "', garment");
   validate_material_coordinates(scene.garment, "scene '" + scene.name + "', garment");
+  check_layers(scene);
   check_at_most(scene, scene.transform.translation, kFarthest, "m", "initial translation");
   check_finite(scene, scene.transform.rotation, "initial rotation");
   check_positive(scene, scene.transform.scale, "initial scale");

@@ -71,6 +71,13 @@ struct InitialTransform {
   double scale = 1;                                    ///< scales the rest shape and its material coordinates too
 };
 
+/// One of several garments that are worn over each other: it has the `faces` faces of the scene's garment after those
+/// of the layers before. No vertex belongs to two.
+struct GarmentLayer {
+  std::string name;
+  Eigen::Index faces = 0;
+};
+
 /// The range of the principal stretches of the faces, 1 at rest.
 struct StretchRange {
   double minimum = 0;    ///< 0 to 1; 0: no limit
@@ -111,7 +118,8 @@ inline Tracking published_tracking() { return {.frequency = 0, .spring = 10, .tw
 struct Scene {
   std::string name;
 
-  Topology garment;  ///< coarse, with material coordinates
+  Topology garment;                  ///< coarse, with material coordinates
+  std::vector<GarmentLayer> layers;  ///< the innermost first, normals outwards; empty: one garment
   InitialTransform transform;
   double perturbation_m = 0;  ///< amplitude of smooth seeded noise along the normals of the initial shape
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< initial, m/s
@@ -142,11 +150,11 @@ struct Scene {
 };
 
 /// Throws kInvalidArgument with the culprit: garment not usable (validate_topology, validate_material_coordinates),
-/// handle on a vertex that does not exist or the same vertex in two handles at once, strain limits without 1, steps,
-/// frames or frame time not positive, values not finite, negative density, stiffness, friction or thickness, key frames
-/// out of order, an obstacle without shape or with two, an animation that does not fit it or has values that are not
-/// finite, or duplicate obstacle names. Whether the start is free of penetrations and self-intersections is checked by
-/// Simulation, which has the hierarchies. O(F log F).
+/// layers that aren't the garment's faces or share vertices, handle on a vertex that does not exist or the same vertex
+/// in two handles at once, strain limits without 1, steps, frames or frame time not positive, values not finite,
+/// negative density, stiffness, friction or thickness, key frames out of order, an obstacle without shape or with two,
+/// an animation that does not fit it or has values that are not finite, or duplicate obstacle names. Whether the start
+/// is free of penetrations and self-intersections is checked by Simulation, which has the hierarchies. O(F log F).
 void validate_scene(const Scene& scene);
 
 /// rad/s: the scene's, or less with steps so long that they could not follow it.

@@ -152,6 +152,9 @@ Scene scene_from_message(const v1::Scene& m) {
   }
   if (!m.has_garment_mesh()) throw_invalid_argument("scene.garment_mesh is missing");
   scene.garment = from_message(m.garment_mesh(), "scene.garment_mesh");
+  for (const v1::GarmentLayer& layer : m.garment_layers()) {
+    scene.layers.push_back({layer.name(), static_cast<Eigen::Index>(layer.faces())});
+  }
   scene.transform.translation = vector_from(m.placement().translation(), "scene.placement.translation");
   scene.transform.rotation = rotation_from(m.placement().axis(), m.placement().angle_deg(), "scene.placement");
   scene.perturbation_m = m.perturbation_m();

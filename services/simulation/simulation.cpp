@@ -165,6 +165,9 @@ std::uint64_t scene_fingerprint(const Scene& s, Mode mode) {
     }
   }
   // What came later counts where it is used: check-points of scenes without it stay good.
+  if (s.untangle) {
+    for (const GarmentLayer& layer : s.layers) w.value(static_cast<std::uint64_t>(layer.faces));
+  }
   if (s.strain_limits.limits()) {
     w.value(s.strain_limits.minimum);
     w.value(s.strain_limits.maximum);

@@ -134,7 +134,12 @@ class Untangler {
     const std::array<double, 3> w{1 - w1 - w2, w1, w2};
 
     bool first_is_wrong = false;
-    if (inside_[p[0]] != inside_[p[1]]) {
+    const std::span<const std::uint32_t> layers = contact_.layers();
+    const bool of_layers = !layers.empty() && crossing.obstacle == kNone && layers[p[0]] != layers[p[2]];
+    if (of_layers) {
+      // The outer garment belongs before the inner one, whose normals look at it.
+      first_is_wrong = (height_a < height_b) == (layers[p[0]] > layers[p[2]]);
+    } else if (inside_[p[0]] != inside_[p[1]]) {
       first_is_wrong = inside_[p[0]] != 0;
     } else if (part_[p[0]] != part_[p[1]]) {
       const auto rank = [&](std::uint32_t v) { return std::pair(part_size_[part_[v]], part_[v]); };

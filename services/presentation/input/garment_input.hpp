@@ -10,12 +10,9 @@
 
 namespace pleat::presentation {
 
-/// Several meshes as one of as many pieces: vertices and faces of the first, then of the next; the material coordinates
-/// of every mesh lie beside those before it, at larger u.
-Topology join_garments(const std::vector<Topology>& garments);
-
 /// Reads `garment_file` and `further_garment_files` (read_garment; paths from `folder`) and puts them into the scene as
-/// one mesh. Throws as it does, kNotFound, and as require_rest_lengths; `name` goes before messages.
+/// one mesh, several as its layers. Throws as it does, kNotFound, and as require_rest_lengths; `name` goes before
+/// messages.
 void inline_garments(v1::Scene& scene, const std::filesystem::path& folder, const std::string& name, double scale,
                      std::vector<std::string>& notes);
 

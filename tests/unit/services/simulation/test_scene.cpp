@@ -82,6 +82,24 @@ TEST(Scene, RefusesBadGarments) {
   expect_refused([](Scene& s) { s.garment.uv.resize(0, 2), s.garment.uv_faces.resize(0, 3); }, "material coordinates");
 }
 
+TEST(Scene, RefusesLayersThatAreNotTheGarments) {
+  const auto with = [](const std::vector<GarmentLayer>& layers, const std::string& culprit) {
+    expect_refused(
+        [&](Scene& scene) {
+          scene.garment = sheet(2, 2, 1, 1);  // 8 faces that hang together
+          scene.layers = layers;
+        },
+        culprit);
+  };
+  with({{"shirt", 7}}, "the layers have 7 of the garment's 8 faces");
+  with({{"shirt", 4}, {"coat", 4}}, "layers 'shirt' and 'coat' share vertex");
+  with({{"shirt", 8}, {"coat", 1}}, "layer 'coat' has 1 of the 0 faces");
+  with({{"shirt", 0}, {"coat", 8}}, "layer 'shirt' has 0");
+  Scene one = sheet_scene(2);
+  one.layers = {{"shirt", 8}};
+  EXPECT_NO_THROW(validate_scene(one));
+}
+
 TEST(Scene, RefusesBadHandles) {
   expect_refused([](Scene& s) { s.handles.push_back(handle_on({81})); }, "vertex 81");
   expect_refused([](Scene& s) { s.handles.push_back({}); }, "no vertices");

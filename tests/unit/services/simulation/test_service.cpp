@@ -250,6 +250,8 @@ TEST_F(ServiceTest, RefusesBadScenes) {
   };
   constexpr auto kInvalid = ErrorCode::kInvalidArgument;
   expect_refused(with([](auto& o) { o.mutable_scene()->clear_garment(); }), kInvalid, "garment_mesh");
+  expect_refused(with([](auto& o) { o.mutable_scene()->add_garment_layers()->set_faces(4000000000u); }), kInvalid,
+                 "has 4000000000 of the 32 faces");
   expect_refused(with([](auto& o) { o.mutable_scene()->set_garment_file("/etc/passwd"); }), kInvalid, "garment_file");
   expect_refused(with([](auto& o) { o.mutable_scene()->set_material_file("x"); }), kInvalid, "material_file");
   expect_refused(with([](auto& o) { o.mutable_scene()->set_material_json("{}"); }), kInvalid, "density");

@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
+#include <numbers>
 
 #include "common/base/error.hpp"
 #include "common/mesh/closest_points.hpp"
@@ -166,6 +168,60 @@ TEST(Untangle, PullsAFlapOutOfASlit) {
   const Outcome outcome = untangled(scene);
   EXPECT_EQ(outcome.self_intersections, 0);
   EXPECT_LT(outcome.largest_move, 0.12f);
+}
+
+// A tube about the y axis from `radii[0]` at its bottom (y = 0) to `radii[1]` at its top, normals outwards.
+Topology tube(int around, int up, double height, std::array<double, 2> radii) {
+  Topology t = sheet(around, up, 0.6, height);
+  const auto wrap = [&](std::uint32_t v) {
+    const auto row = v / (static_cast<std::uint32_t>(around) + 1),
+               column = v % (static_cast<std::uint32_t>(around) + 1);
+    return row * static_cast<std::uint32_t>(around) + column % static_cast<std::uint32_t>(around);
+  };
+  t.uv_faces = t.faces;
+  t.faces = t.faces.unaryExpr(wrap).eval();
+  t.rest_positions.resize(around * (up + 1), 3);
+  for (int j = 0; j <= up; ++j) {
+    const double share = static_cast<double>(j) / up, radius = radii[1] + share * (radii[0] - radii[1]);
+    for (int i = 0; i < around; ++i) {
+      const double angle = 2 * std::numbers::pi * (i + 0.5 * (j % 2)) / around;
+      t.rest_positions.row(j * around + i) << static_cast<float>(radius * std::cos(angle)),
+          static_cast<float>(height * (1 - share)), static_cast<float>(-radius * std::sin(angle));
+    }
+  }
+  return t;
+}
+
+TEST(Untangle, KeepsTheOrderOfLayers) {
+  // The lower half of the outer tube has gone into the inner one: no part of either is the smaller one.
+  const Topology inner = tube(16, 6, 0.3, {0.11, 0.09}), outer = tube(14, 5, 0.3, {0.08, 0.13});
+  Scene scene = sheet_scene(4);
+  scene.garment = inner;
+  Topology& both = scene.garment;
+  const Eigen::Index vertices = inner.vertex_count(), places = inner.uv.rows(), faces = inner.face_count();
+  both.rest_positions.conservativeResize(vertices + outer.vertex_count(), 3);
+  both.rest_positions.bottomRows(outer.vertex_count()) = outer.rest_positions;
+  both.uv.conservativeResize(places + outer.uv.rows(), 2);
+  both.uv.bottomRows(outer.uv.rows()) = outer.uv.rowwise() + Eigen::RowVector2f(3, 0);
+  both.faces.conservativeResize(faces + outer.face_count(), 3);
+  both.faces.bottomRows(outer.face_count()) = outer.faces.array() + static_cast<std::uint32_t>(vertices);
+  both.uv_faces.conservativeResize(faces + outer.face_count(), 3);
+  both.uv_faces.bottomRows(outer.face_count()) = outer.uv_faces.array() + static_cast<std::uint32_t>(places);
+  scene.layers = {{"trousers", faces}, {"shirt", outer.face_count()}};
+  EXPECT_THAT(refusal(scene), testing::AllOf(HasSubstr("of 'trousers' and"), HasSubstr("of 'shirt' intersect")));
+  for (const Mode mode : {Mode::kCoarse, Mode::kTrackedFine}) {
+    const Outcome outcome = untangled(scene, mode);
+    EXPECT_EQ(outcome.self_intersections, 0);
+    EXPECT_LT(outcome.largest_move, 0.06f);
+  }
+  scene.untangle = true;
+  const Positions start = Simulation(scene, Mode::kCoarse).next_frame().coarse.positions;
+  // As nothing crosses, one place of the lower ends tells who is outside.
+  const auto radius = [&](Eigen::Index v) { return std::hypot(start(v, 0), start(v, 2)); };
+  float inside = 0, outside = 1;
+  for (Eigen::Index v = vertices - 16; v < vertices; ++v) inside = std::max(inside, radius(v));
+  for (Eigen::Index v = start.rows() - 14; v < start.rows(); ++v) outside = std::min(outside, radius(v));
+  EXPECT_GT(outside, 0.95f * inside);
 }
 
 TEST(Untangle, NamesWhatRemainsWhereItFails) {

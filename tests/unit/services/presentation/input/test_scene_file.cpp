@@ -189,6 +189,11 @@ TEST_F(SceneFile, SeveralGarmentsAreOneMesh) {
       EXPECT_GT(u.minCoeff(), joined.uv.topRows(4 * piece).col(0).maxCoeff());
     }
   }
+  ASSERT_EQ(scene.garment_layers_size(), 3);
+  for (const v1::GarmentLayer& layer : scene.garment_layers()) {
+    EXPECT_EQ(layer.name(), "cloth");
+    EXPECT_EQ(layer.faces(), 2u);
+  }
   scene_["further_garment_files"] = {"cloth.obj", "hat.obj"};
   expect_error(scene_, "further_garment_files[1]", ErrorCode::kNotFound);
 }
