@@ -25,6 +25,7 @@ std::vector<Command> add_dataset(CLI::App& root);
 std::vector<Command> add_check(CLI::App& root);
 std::vector<Command> add_export(CLI::App& root);
 std::vector<Command> add_body(CLI::App& root);
+std::vector<Command> add_dress(CLI::App& root);
 std::vector<Command> add_eval(CLI::App& root);
 std::vector<Command> add_bench(CLI::App& root);
 
