@@ -41,8 +41,11 @@ constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start
 constexpr float kObstacleFriction = 0.3f;
 constexpr double kObstacleReach = 0.02;                  // m, within a frame, beside the coarse cloth's motion
 constexpr double kObstacleDepth = 0.06;                  // m: who is deeper inside a mesh is left to refinement
+constexpr double kRounding = 1e-5;                       // m: of distances in float32, and more
 constexpr double kTouchNear = 0.008, kTouchFar = 0.016;  // m: nearer than that coarse cloth touches, farther not
 constexpr float kLayerReach = 0.02f;                     // m
+
+float norm(Float4 v) { return std::sqrt(dot(v, v)); }
 
 double milliseconds(Clock::time_point from) {
   return std::chrono::duration<double, std::milli>(Clock::now() - from).count();
@@ -71,6 +74,8 @@ struct ObstaclePlane {
   std::uint32_t vertex;
   Float4 normal;
   float offset;  // normal . x is at least this
+  Float4 place;  // where the obstacle was measured, and how far away it was
+  float distance;
 };
 
 }  // namespace
@@ -271,12 +276,23 @@ struct FoldStep::Work {
           !obstacles.contact_near(point_at(origin, middle), radius + kObstacleReach, radius + kObstacleDepth)) {
         continue;
       }
+      // From one place to another the distance changes by the way between them at most: a place with room around it
+      // speaks for its neighbours.
+      Float4 free_place{};
+      float room = 0;
       for (const std::uint32_t i : members) {
         const Float4 end = x[i] + way[i];
-        const auto contact = obstacles.contact_near(point_at(origin, end), kObstacleReach, kObstacleDepth);
-        if (!contact || contact->distance >= kObstacleReach) continue;
+        if (room > norm(end - free_place)) continue;
+        const auto contact = obstacles.contact_near(point_at(origin, end), kObstacleDepth, kObstacleDepth);
+        const double distance = contact ? contact->distance : kObstacleDepth;
+        if (distance >= kObstacleReach) {
+          free_place = end;
+          room = static_cast<float>(distance - kObstacleReach - kRounding);
+          continue;
+        }
         const Float4 normal = to_float4(contact->normal);
-        planes.push_back({i, normal, dot(normal, end) + static_cast<float>(options.clearance_m - contact->distance)});
+        planes.push_back({i, normal, dot(normal, end) + static_cast<float>(options.clearance_m - distance), end,
+                          static_cast<float>(distance)});
       }
     }
   }
@@ -385,7 +401,9 @@ struct FoldStep::Work {
   void leave_obstacles(const Eigen::Vector3d& origin) {
     for (const ObstaclePlane& plane : planes) {
       const std::uint32_t i = plane.vertex;
-      if (fixed[i]) continue;
+      // As in find_planes(): most are as far away as they were.
+      const auto room = plane.distance - static_cast<float>(options.clearance_m + kRounding);
+      if (fixed[i] || room > norm(x[i] - plane.place)) continue;
       const auto contact = obstacles.contact_near(point_at(origin, x[i]), options.clearance_m, kObstacleReach);
       if (!contact || contact->distance >= options.clearance_m) continue;
       x[i] += to_float4((options.clearance_m - contact->distance) * contact->normal);
