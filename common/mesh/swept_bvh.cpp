@@ -105,20 +105,27 @@ void SweptBvh::refit(std::span<const SweptBox> points, ThreadPool& pool) {
     for (std::size_t l = begin; l < end; ++l) {
       Leaf& leaf = leaves_[l];
       SweptBox all;
+      Float4 lower[kWidth], upper[kWidth], motion_lower[kWidth], motion_upper[kWidth];
       for (std::size_t i = 0; i < kWidth; ++i) {
         SweptBox box;
         if (i < leaf.count) {
           for (std::size_t k = 0; k < 3; ++k) box.extend(points[leaf.vertices[k][i]]);
           all.extend(box);
         }
-        for (std::size_t k = 0; k < 3; ++k) {
-          const int lane = static_cast<int>(i), axis = static_cast<int>(k);
-          leaf.lower[k][lane] = box.lower[axis];
-          leaf.upper[k][lane] = box.upper[axis];
-          leaf.motion_lower[k][lane] = i < leaf.count ? box.motion_lower[axis] : 0;
-          leaf.motion_upper[k][lane] = i < leaf.count ? box.motion_upper[axis] : 0;
-        }
+        lower[i] = box.lower;
+        upper[i] = box.upper;
+        motion_lower[i] = i < leaf.count ? box.motion_lower : Float4{};
+        motion_upper[i] = i < leaf.count ? box.motion_upper : Float4{};
       }
+      const auto by_axis = [](const Float4(&lanes)[kWidth], std::array<Float8, 3>& axes) {
+        Float8 columns[4];
+        transpose(lanes, columns);
+        std::copy(columns, columns + 3, axes.begin());
+      };
+      by_axis(lower, leaf.lower);
+      by_axis(upper, leaf.upper);
+      by_axis(motion_lower, leaf.motion_lower);
+      by_axis(motion_upper, leaf.motion_upper);
       boxes_[node_of_leaf_[l]] = all;
     }
   });
@@ -247,8 +254,11 @@ std::vector<SweptBvh::Pair> SweptBvh::pairs(const SweptBvh& other) const {
     const bool leaf_p = nodes_[p].leaf != kInner, leaf_q = other.nodes_[q].leaf != kInner;
     if (leaf_p && leaf_q) {
       const Leaf &a = leaves_[nodes_[p].leaf], &b = other.leaves_[other.nodes_[q].leaf];
-      for (std::size_t i = 0; i < a.count; ++i) {
-        for (std::uint32_t lanes = meeting(a, i, b); lanes != 0; lanes &= lanes - 1)
+      // As in leaf_pairs(): most faces of either leaf are far from the other leaf.
+      const std::uint32_t near_b = meeting(boxes_[p], b);
+      for (std::uint32_t rows = meeting(other.boxes_[q], a); rows != 0 && near_b != 0; rows &= rows - 1) {
+        const auto i = static_cast<std::size_t>(__builtin_ctz(rows));
+        for (std::uint32_t lanes = near_b & meeting(a, i, b); lanes != 0; lanes &= lanes - 1)
           out.push_back({a.faces[i], b.faces[static_cast<std::size_t>(__builtin_ctz(lanes))]});
       }
     } else if (leaf_p) {

@@ -14,15 +14,11 @@ namespace {
 
 using Eigen::Vector3d;
 
-// Metres. A pair that comes closer than kGap has collided; impacts leave it at 5 kGap to a tenth of the thickness.
-constexpr double kGap = 2e-5;
 // Metres. Cut steps stop pairs here: well above the rounding of a frame's float32.
 constexpr double kFloor = 2e-6;
 constexpr int kProjectionRounds = 24;
 constexpr int kRigidRounds = 40;
 constexpr int kCutRounds = 100;  // some ten are usual
-// Above, the faces that an edge joins are looked for like all others: some 25 a face are too many to remember.
-constexpr std::size_t kMostJoinedFaces = 100'000;
 
 // The quarter of the mean edge keeps the neighbours of a vertex out of its repulsion layer.
 double repulsion_thickness(const Topology& cloth, const Points& rest, double wanted) {
@@ -102,83 +98,6 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
   find_layers();
 }
 
-ClosestPoints ContactSystem::closest(const Pair& pair, const Points& x) const {
-  const auto& v = pair.v;
-  return pair.kind == Kind::kEdgeEdge ? closest_edge_edge(x[v[0]], x[v[1]], x[v[2]], x[v[3]])
-                                      : closest_vertex_face(x[v[0]], x[v[1]], x[v[2]], x[v[3]]);
-}
-
-std::optional<Collision> ContactSystem::collide(const Pair& pair, const Points& start, const Points& end) const {
-  const auto& v = pair.v;
-  const std::array<Vector3d, 4> from{start[v[0]], start[v[1]], start[v[2]], start[v[3]]};
-  const std::array<Vector3d, 4> to{end[v[0]], end[v[1]], end[v[2]], end[v[3]]};
-  const CcdOptions options{static_cast<double>(pair.minimum), kGap, 256};
-  return pair.kind == Kind::kEdgeEdge ? edge_edge_ccd(from, to, options) : vertex_face_ccd(from, to, options);
-}
-
-// Keeps the pair if it may matter for the motion or at its end. Returns the distance at the end, less the minimum.
-double ContactSystem::keep_if_close(const Pair& pair, const Points& start, const Points& end,
-                                    std::vector<Pair>& out) const {
-  const auto& v = pair.v;
-  const double clearance = std::sqrt(closest(pair, end).squared_distance) - static_cast<double>(pair.minimum);
-  bool keep = clearance <= thickness_ + 2 * slack_;
-  if (!keep) {
-    const std::array<Vector3d, 4> from{start[v[0]], start[v[1]], start[v[2]], start[v[3]]};
-    const std::array<Vector3d, 4> to{end[v[0]], end[v[1]], end[v[2]], end[v[3]]};
-    const double bound = motion_bound(from, to, pair.kind == Kind::kEdgeEdge ? 2 : 1);
-    // With every vertex within slack_ of `end`, distances change by 2 slack_ and bounds by 4 slack_ at most.
-    keep = clearance <= bound + 6 * slack_ + 2 * kGap;
-  }
-  if (keep) out.push_back(pair);
-  return clearance;
-}
-
-// Calls use(pair) for the vertex-face and edge-edge pairs that two faces own, each pair of the mesh being owned by one
-// pair of faces. boxes: only those whose boxes overlap.
-template <typename Use>
-void ContactSystem::for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const {
-  SweptBox box_f, box_g;
-  if (boxes) {
-    box_f = face_box(f);
-    box_g = face_box(g);
-  }
-  const auto vertices_against_face = [&](std::uint32_t owner, std::uint32_t face, const SweptBox& face_box) {
-    const auto& corners = faces_[face];
-    for (const std::uint32_t v : own_vertices_[owner]) {
-      if (v == kNone || v == corners[0] || v == corners[1] || v == corners[2]) continue;
-      if (boxes && !boxes_[v].may_meet(face_box)) continue;
-      use(Pair{{v, corners[0], corners[1], corners[2]}, Kind::kVertexFace, 0});
-    }
-  };
-  vertices_against_face(f, g, box_g);
-  vertices_against_face(g, f, box_f);
-  for (const std::uint32_t e : own_edges_[f]) {
-    if (e == kNone) continue;
-    const auto [a, b] = edges_[e];
-    SweptBox box = boxes_[a];
-    box.extend(boxes_[b]);
-    if (boxes && !box.may_meet(box_g)) continue;
-    for (const std::uint32_t other : own_edges_[g]) {
-      if (other == kNone) continue;
-      const auto [c, d] = edges_[other];
-      if (a == c || a == d || b == c || b == d) continue;
-      if (boxes) {
-        SweptBox other_box = boxes_[c];
-        other_box.extend(boxes_[d]);
-        if (!box.may_meet(other_box)) continue;
-      }
-      use(Pair{{a, b, c, d}, Kind::kEdgeEdge, 0});
-    }
-  }
-}
-
-SweptBox ContactSystem::face_box(std::uint32_t f) const {
-  SweptBox box = boxes_[faces_[f][0]];
-  box.extend(boxes_[faces_[f][1]]);
-  box.extend(boxes_[faces_[f][2]]);
-  return box;
-}
-
 // The children of a coarse face are as many of the finer mesh's faces, in its order (subdivide()).
 void ContactSystem::find_layers() {
   if (scene_.layers.empty()) return;
@@ -193,149 +112,18 @@ void ContactSystem::find_layers() {
   }
 }
 
-void ContactSystem::find_neighbours() {
-  std::vector<std::vector<std::uint32_t>> at_vertex(cloth_count_);
-  for (std::uint32_t f = 0; f < cloth_faces_; ++f) {
-    for (const std::uint32_t v : faces_[f]) at_vertex[v].push_back(f);
-  }
-  // Face and the one between, the shared vertex before the joining edge.
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> near;
-  const auto add = [&](std::uint32_t f, std::size_t from, bool sharing) {
-    std::sort(near.begin() + static_cast<std::ptrdiff_t>(from), near.end());
-    for (std::size_t i = from; i < near.size(); ++i) {
-      const auto [g, between] = near[i];
-      const bool known = std::any_of(near.begin(), near.begin() + static_cast<std::ptrdiff_t>(i),
-                                     [g = g](const auto& other) { return other.first == g; });
-      if (g <= f || known) continue;
-      bool owns = false;
-      for_each_pair(f, g, false, [&](const Pair&) { owns = true; });
-      if (owns) neighbours_.push_back({f, g, between, -1});
-      if (!sharing) joined_.push_back(g);
-    }
-  };
-  joined_first_.assign(1, 0);
-  for (std::uint32_t f = 0; f < cloth_faces_; ++f) {
-    near.clear();
-    for (const std::uint32_t v : faces_[f]) {
-      for (const std::uint32_t g : at_vertex[v]) near.emplace_back(g, f);
-    }
-    add(f, 0, true);
-    const std::size_t sharing = near.size();
-    for (std::size_t i = 0; i < sharing && cloth_faces_ <= kMostJoinedFaces; ++i) {
-      const std::uint32_t between = near[i].first;
-      for (const std::uint32_t v : faces_[between]) {
-        for (const std::uint32_t g : at_vertex[v]) near.emplace_back(g, between);
-      }
-    }
-    add(f, sharing, false);
-    joined_.resize((joined_.size() + 7) / 8 * 8, kNone);
-    joined_first_.push_back(static_cast<std::uint32_t>(joined_.size()));
-  }
-  deformation_.assign(cloth_faces_, 0);
+ClosestPoints ContactSystem::closest(const Pair& pair, const Points& x) const {
+  const auto& v = pair.v;
+  return pair.kind == Kind::kEdgeEdge ? closest_edge_edge(x[v[0]], x[v[1]], x[v[2]], x[v[3]])
+                                      : closest_vertex_face(x[v[0]], x[v[1]], x[v[2]], x[v[3]]);
 }
 
-bool ContactSystem::is_joined(std::uint32_t f, std::uint32_t g) const {
-  for (std::uint32_t i = joined_first_[f]; i < joined_first_[f + 1]; i += 8) {
-    bool found = false;
-    for (std::uint32_t k = 0; k < 8; ++k) found |= joined_[i + k] == g;
-    if (found) return true;
-  }
-  return false;
-}
-
-// Two points of faces that share a vertex can't have come closer than the deformation of the two faces since they were
-// last measured: each has moved, relative to the shared vertex, by the change of its face's edge vectors at most. Where
-// an edge joins the faces its own change counts too.
-void ContactSystem::add_neighbours(const Points& start, const Points& end, ThreadPool& pool) {
-  const bool first = pairs_end_.size() != end.size();
-  if (first) {
-    for (Neighbours& n : neighbours_) n.safe_until = -1;
-  } else {
-    pool.parallel_for(cloth_faces_, 4096, [&](std::size_t begin, std::size_t last) {
-      for (std::size_t f = begin; f < last; ++f) {
-        double most = 0;
-        for (std::size_t k = 0; k < 3; ++k) {
-          const std::uint32_t a = faces_[f][k], b = faces_[f][(k + 1) % 3];
-          const Vector3d before = pairs_end_[b] - pairs_end_[a], now = start[b] - start[a], then = end[b] - end[a];
-          most = std::max(most, (now - before).norm() + (then - now).norm());
-        }
-        deformation_[f] += most;
-      }
-    });
-  }
-  constexpr std::size_t kGrain = 8192;
-  std::vector<std::vector<Pair>> results((neighbours_.size() + kGrain - 1) / kGrain);
-  const double reach = thickness_ + 4 * slack_ + 2 * kGap;
-  pool.parallel_for(neighbours_.size(), kGrain, [&](std::size_t begin, std::size_t last) {
-    auto& out = results[begin / kGrain];
-    for (std::size_t i = begin; i < last; ++i) {
-      Neighbours& n = neighbours_[i];
-      double deformation = deformation_[n.f] + deformation_[n.g];
-      if (n.between != n.f) deformation += deformation_[n.between];
-      if (deformation < n.safe_until) continue;
-      double clearance = 1e30;
-      for_each_pair(n.f, n.g, false,
-                    [&](const Pair& pair) { clearance = std::min(clearance, keep_if_close(pair, start, end, out)); });
-      n.safe_until = deformation + clearance - reach;
-    }
-  });
-  for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
-}
-
-// Whether a plane keeps two faces apart for the whole motion, and by more than any pair that is kept: the distance of
-// two points along a fixed direction is linear in time, so that its least value is at the start or at the end. Most
-// faces whose boxes meet lie beside each other on the cloth, and the line between their centres tells; or one lies
-// under a large face, and that one's normal does.
-bool ContactSystem::apart(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end) const {
-  const auto &a = faces_[f], &b = faces_[g];
-  const std::array<Vector3d, 3> a0{start[a[0]], start[a[1]], start[a[2]]}, a1{end[a[0]], end[a[1]], end[a[2]]};
-  const std::array<Vector3d, 3> b0{start[b[0]], start[b[1]], start[b[2]]}, b1{end[b[0]], end[b[1]], end[b[2]]};
-  const Vector3d between =
-      a0[0] + a0[1] + a0[2] + a1[0] + a1[1] + a1[2] - (b0[0] + b0[1] + b0[2] + b1[0] + b1[1] + b1[2]);
-  const auto along = [&](const Vector3d& axis) {
-    const auto gap = [&](const std::array<Vector3d, 3>& p, const std::array<Vector3d, 3>& q) {
-      return std::min({axis.dot(p[0]), axis.dot(p[1]), axis.dot(p[2])}) -
-             std::max({axis.dot(q[0]), axis.dot(q[1]), axis.dot(q[2])});
-    };
-    // As in keep_if_close: vertices may yet move by slack_, on either side.
-    const double length = axis.norm();
-    return gap(a0, b0) > length * (2 * slack_ + 2 * kGap) &&
-           gap(a1, b1) > length * (thickness_ + 2 * slack_ + 2 * kGap);
-  };
-  if (along(between)) return true;
-  const Vector3d normal = (a1[1] - a1[0]).cross(a1[2] - a1[0]);
-  return along(normal.dot(between) < 0 ? Vector3d(-normal) : normal);
-}
-
-void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPool& pool) {
-  const double margin = 0.5 * thickness_ + slack_ + kGap;
-  pool.parallel_for(particle_count_, 4096, [&](std::size_t begin, std::size_t last) {
-    for (std::size_t i = begin; i < last; ++i) boxes_[i] = SweptBox(start[i], end[i], margin);
-  });
-  cloth_bvh_.refit(boxes_, pool);
-  std::vector<SweptBvh::Pair> face_pairs;
-  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(pool, 1'000'000 + 1000 * cloth_faces_);
-  if (!obstacle_bvh_.empty()) {
-    obstacle_bvh_.refit(boxes_, pool);
-    for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
-      face_pairs.push_back({f, g + static_cast<std::uint32_t>(cloth_faces_)});
-    }
-  }
-  constexpr std::size_t kGrain = 4096;
-  std::vector<std::vector<Pair>> results((face_pairs.size() + kGrain - 1) / kGrain);
-  pool.parallel_for(face_pairs.size(), kGrain, [&](std::size_t begin, std::size_t last) {
-    auto& out = results[begin / kGrain];
-    for (std::size_t p = begin; p < last; ++p) {
-      const auto [f, g] = face_pairs[p];
-      if (g < cloth_faces_ ? is_joined(f, g) || apart(f, g, start, end) : apart(f, g, start, end)) continue;
-      for_each_pair(f, g, true, [&](const Pair& pair) { keep_if_close(pair, start, end, out); });
-    }
-  });
-  pairs_.clear();
-  if (scene_.contact.self_collision) add_neighbours(start, end, pool);
-  for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
-  add_round_pairs(start, end, margin);
-  pairs_end_ = end;
+std::optional<Collision> ContactSystem::collide(const Pair& pair, const Points& start, const Points& end) const {
+  const auto& v = pair.v;
+  const std::array<Vector3d, 4> from{start[v[0]], start[v[1]], start[v[2]], start[v[3]]};
+  const std::array<Vector3d, 4> to{end[v[0]], end[v[1]], end[v[2]], end[v[3]]};
+  const CcdOptions options{static_cast<double>(pair.minimum), kGap, 256};
+  return pair.kind == Kind::kEdgeEdge ? edge_edge_ccd(from, to, options) : vertex_face_ccd(from, to, options);
 }
 
 // The side of a capsule: the ends of the edge once each where they face the segment. Its caps are spheres.

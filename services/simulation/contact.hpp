@@ -94,6 +94,8 @@ class ContactSystem {
                      std::span<const double> yielding, ThreadPool& pool);
 
  private:
+  // Metres. A pair that comes closer than kGap has collided; impacts leave it at 5 kGap to a tenth of the thickness.
+  static constexpr double kGap = 2e-5;
   enum class Kind : std::uint8_t { kVertexFace, kEdgeEdge, kSphereFace };
   struct Pair {
     std::array<std::uint32_t, 4> v;
@@ -107,6 +109,15 @@ class ContactSystem {
     Eigen::Vector3d normal;
     double distance;
     double multiplier = 0;
+  };
+
+  // Pairs of cloth faces that share a vertex, or have vertices that an edge joins, are always near each other, and
+  // rarely in danger. Each remembers how far its faces and the one between them may deform (deformation_ of all
+  // together) before it must be looked at again.
+  struct Neighbours {
+    std::uint32_t f, g;
+    std::uint32_t between;  // a face with the edge; f where they share a vertex
+    double safe_until;
   };
 
   ClosestPoints closest(const Pair& pair, const Points& x) const;
@@ -124,11 +135,16 @@ class ContactSystem {
   std::uint32_t obstacle_of(std::uint32_t particle) const;
   template <typename Use>
   void for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const;
-  bool apart(std::uint32_t f, std::uint32_t g, const Points& start, const Points& end) const;
+  std::uint32_t apart(std::span<const SweptBvh::Pair> faces) const;
   double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
+  void keep_close(std::span<const Pair> candidates, const Points& start, const Points& end, std::vector<Pair>& out,
+                  std::span<double> clearances) const;
   void find_neighbours();
   void find_layers();
   std::string name_of_face(std::uint32_t f) const;
+  double deformation_of(const Neighbours& n) const {
+    return deformation_[n.f] + deformation_[n.g] + (n.between != n.f ? deformation_[n.between] : 0);
+  }
   bool is_joined(std::uint32_t f, std::uint32_t g) const;
   void add_neighbours(const Points& start, const Points& end, ThreadPool& pool);
   SweptBox face_box(std::uint32_t f) const;
@@ -160,14 +176,6 @@ class ContactSystem {
   double thickness_ = 0;
   double slack_ = 0;  // metres that vertices may move after find_pairs before the pairs must be found again
 
-  // Pairs of cloth faces that share a vertex, or have vertices that an edge joins, are always near each other, and
-  // rarely in danger. Each remembers how far its faces and the one between them may deform (deformation_ of all
-  // together) before it must be looked at again.
-  struct Neighbours {
-    std::uint32_t f, g;
-    std::uint32_t between;  // a face with the edge; f where they share a vertex
-    double safe_until;
-  };
   std::vector<Neighbours> neighbours_;
   // Of each face, those later ones that an edge joins to it, eight by eight, filled up with kNone.
   std::vector<std::uint32_t> joined_, joined_first_;
