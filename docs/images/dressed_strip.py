@@ -3,7 +3,7 @@
 
     docs/images/dressed_strip.py out/dancer/result.h5 OUT.png FRAME... [--which coarse] [--size 520] [--top 0.2]
 
-The first obstacle that is a mesh is the body. Needs Debian's python3-numpy and python3-h5py.
+The first obstacle that is a mesh is the body. Every piece of the cloth has its own colour. Needs Debian's python3-numpy and python3-h5py.
 """
 import argparse
 
@@ -11,6 +11,24 @@ import h5py
 import numpy as np
 
 import film_strip
+
+
+COLOURS = [film_strip.CLOTH, np.array([205, 205, 200]), np.array([120, 150, 110]), np.array([170, 110, 130])]
+
+
+def pieces(faces):
+    """Faces of every connected piece, in the order of their first ones."""
+    label = np.arange(faces.max() + 1)
+    while True:
+        before = label.copy()
+        lowest = label[faces].min(axis=1)
+        for k in range(3):
+            np.minimum.at(label, faces[:, k], lowest)
+        label = label[label]
+        if (label == before).all():
+            break
+    of_face = label[faces[:, 0]]
+    return [faces[of_face == piece] for piece in dict.fromkeys(of_face)]
 
 
 def main():
@@ -34,7 +52,9 @@ def main():
             x, _, z = points.mean(0)
             picture = film_strip.Picture(np.array([x - 0.75, -0.05, z - 0.75]), np.array([x + 0.75, 1.7, z + 0.75]))
             picture.draw(points, body_faces, film_strip.OBSTACLE)
-            picture.draw(result[f"{options.which}/positions"][frame].astype(float), faces, film_strip.CLOTH)
+            cloth = result[f"{options.which}/positions"][frame].astype(float)
+            for k, piece in enumerate(pieces(faces)):
+                picture.draw(cloth, piece, COLOURS[k % len(COLOURS)])
             pictures.append(picture.image[slice(*rows), slice(*columns)])
     film_strip.write_png(options.out, np.ascontiguousarray(np.hstack(pictures)))
 

@@ -103,16 +103,20 @@ class Untangler {
     }
   }
 
-  // Moves sum weights[k] particles[k] by depth along the normal; only the cloth yields.
+  // Moves sum weights[k] particles[k] by depth along the normal; only the cloth yields, from `outer` on its layers.
   void push(const std::array<std::uint32_t, 4>& particles, const std::array<double, 4>& weights, const Vector3d& normal,
-            double depth) {
+            double depth, std::uint32_t outer = 0) {
+    const std::span<const std::uint32_t> layers = contact_.layers();
+    const auto yields = [&](std::uint32_t particle) {
+      return particle < pushes_.size() && (layers.empty() || layers[particle] >= outer);
+    };
     double mobility = 0;
     for (std::size_t k = 0; k < 4; ++k) {
-      if (particles[k] < pushes_.size()) mobility += weights[k] * weights[k];
+      if (yields(particles[k])) mobility += weights[k] * weights[k];
     }
     if (mobility <= 0) return;
     for (std::size_t k = 0; k < 4; ++k) {
-      if (particles[k] >= pushes_.size() || weights[k] == 0) continue;
+      if (!yields(particles[k]) || weights[k] == 0) continue;
       pushes_[particles[k]] += depth / mobility * weights[k] * normal;
       ++counts_[particles[k]];
     }
@@ -136,6 +140,8 @@ class Untangler {
     bool first_is_wrong = false;
     const std::span<const std::uint32_t> layers = contact_.layers();
     const bool of_layers = !layers.empty() && crossing.obstacle == kNone && layers[p[0]] != layers[p[2]];
+    // What lies between a body and another garment has nowhere to go: the outer garment makes way.
+    const std::uint32_t outer = of_layers ? std::max(layers[p[0]], layers[p[2]]) : 0;
     if (of_layers) {
       // The outer garment belongs before the inner one, whose normals look at it.
       first_is_wrong = (height_a < height_b) == (layers[p[0]] > layers[p[2]]);
@@ -154,7 +160,7 @@ class Untangler {
     const double height = first_is_wrong ? height_a : height_b;
     const double side = (first_is_wrong ? height_b : height_a) >= 0 ? 1 : -1;
     const double depth = std::max(0.0, -side * height) + kMargin * contact_.thickness();
-    push({wrong, p[2], p[3], p[4]}, {1, -w[0], -w[1], -w[2]}, side * normal, depth);
+    push({wrong, p[2], p[3], p[4]}, {1, -w[0], -w[1], -w[2]}, side * normal, depth, outer);
   }
 
   // No side is the wrong one where a crossing ends inside of both surfaces. Moving the edge against the face along the

@@ -59,7 +59,9 @@ TEST(Shrunk, GoesFromTheBonesToTheBody) {
   EXPECT_EQ(shrunk.at(1), tube.mesh.rest_positions);
   const Positions bones = shrunk.at(0), half = shrunk.at(0.5);
   for (Eigen::Index v = 0; v < bones.rows(); ++v) {
-    if (bones(v, 0) < 1) EXPECT_LT(std::hypot(bones(v, 1), bones(v, 2)), 1e-6) << v;
+    if (bones(v, 0) < 1) {
+      EXPECT_LT(std::hypot(bones(v, 1), bones(v, 2)), 1e-6) << v;
+    }
     EXPECT_LT((half.row(v) - (bones.row(v) + tube.mesh.rest_positions.row(v)) / 2).norm(), 1e-6) << v;
   }
 }
