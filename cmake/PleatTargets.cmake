@@ -23,17 +23,31 @@ function(pleat_library name)
   pleat_common_options(${name})
 endfunction()
 
-# pleat_executable(NAME SOURCES... LINK LIBS...): lands in build/bin. The target `programs` builds all of them; those of
-# services/ are installed.
+# pleat_executable(NAME SOURCES... LINK LIBS... [PACKAGE NAME]): lands in build/bin. The target `programs` builds all of
+# them; those of services/ are installed, with their manual pages and completions (common/base/manual.hpp), as part of
+# PACKAGE (default: a package of their own).
 add_custom_target(programs)
 function(pleat_executable name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;LINK" ${ARGN})
+  cmake_parse_arguments(ARG "" "PACKAGE" "SOURCES;LINK" ${ARGN})
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_LINK})
   pleat_common_options(${name})
   add_dependencies(programs ${name})
   if(CMAKE_CURRENT_SOURCE_DIR MATCHES "^${PROJECT_SOURCE_DIR}/services/")
-    install(TARGETS ${name} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+    if(NOT ARG_PACKAGE)
+      set(ARG_PACKAGE ${name})
+    endif()
+    install(TARGETS ${name} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT ${ARG_PACKAGE})
+    set(manual ${PROJECT_BINARY_DIR}/manual/${name})
+    add_custom_command(OUTPUT ${manual}.stamp
+      COMMAND ${CMAKE_COMMAND} -E rm -rf ${manual}
+      COMMAND ${CMAKE_COMMAND} -E env ASAN_OPTIONS=detect_leaks=0 $<TARGET_FILE:${name}> --write-manual ${manual}
+      COMMAND gzip -9nr ${manual}/man
+      COMMAND ${CMAKE_COMMAND} -E touch ${manual}.stamp
+      DEPENDS ${name} VERBATIM)
+    add_custom_target(manual-${name} ALL DEPENDS ${manual}.stamp)
+    add_dependencies(programs manual-${name})
+    install(DIRECTORY ${manual}/ DESTINATION ${CMAKE_INSTALL_DATADIR} COMPONENT ${ARG_PACKAGE})
   endif()
 endfunction()
 
