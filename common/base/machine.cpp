@@ -28,8 +28,6 @@ std::string value_of(const char* file, const std::string& key, char separator) {
 
 }  // namespace
 
-std::string version() { return PLEAT_VERSION; }
-
 std::string git_revision() { return PLEAT_GIT_REVISION; }
 
 nlohmann::json machine_info() {

@@ -4,10 +4,9 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
-namespace pleat {
+#include "common/base/version.hpp"
 
-/// The version of the project, for example "0.1.0".
-std::string version();
+namespace pleat {
 
 /// The revision that this was built from, 12 digits and a "+" if files had changed; "unknown" outside a git checkout.
 std::string git_revision();

@@ -12,6 +12,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
+#include <sstream>
 #include <string_view>
 #include <thread>
 #include <utility>
@@ -34,6 +35,22 @@ fs::path runtime_folder() {
   if (runtime != nullptr && std::strlen(runtime) > 0 && std::strlen(runtime) < 60 && ::access(runtime, W_OK) == 0)
     return runtime;
   return "/tmp";
+}
+
+/// A folder of the XDG base directories: $VARIABLE, which counts where it is absolute, else STANDARD in $HOME.
+fs::path user_folder(const char* variable, const char* standard) {
+  if (const char* folder = std::getenv(variable); folder != nullptr && *folder == '/') return folder;
+  const char* home = std::getenv("HOME");
+  return fs::path(home != nullptr && *home == '/' ? home : "/tmp") / standard;
+}
+
+std::vector<fs::path> data_folders() {
+  std::vector<fs::path> folders{user_folder("XDG_DATA_HOME", ".local/share")};
+  const char* variable = std::getenv("XDG_DATA_DIRS");
+  std::istringstream list(variable != nullptr && *variable != '\0' ? variable : "/usr/local/share:/usr/share");
+  for (std::string folder; std::getline(list, folder, ':');)
+    if (folder.starts_with('/')) folders.emplace_back(folder);
+  return folders;
 }
 
 }  // namespace
@@ -139,12 +156,22 @@ fs::path executable_folder() {
 
 fs::path shipped_file(const fs::path& name) {
   std::error_code ignored;
+  std::vector<fs::path> places;
   const fs::path self = executable_folder();
   for (fs::path folder = self; folder != folder.root_path(); folder = folder.parent_path())
-    if (fs::exists(folder / "deploy" / name, ignored)) return fs::proximate(folder / "deploy" / name, ignored);
-  const fs::path shared = self.parent_path() / "share" / "pleat" / name;
-  if (fs::exists(shared, ignored)) return fs::proximate(shared, ignored);
+    places.push_back(folder / "deploy");
+  places.push_back(self.parent_path() / "share" / "pleat");
+  for (const fs::path& folder : data_folders()) places.push_back(folder / "pleat");
+  for (const fs::path& place : places)
+    if (fs::exists(place / name, ignored)) return fs::proximate(place / name, ignored);
   return "deploy" / name;
+}
+
+fs::path state_folder(const std::string& name) {
+  std::error_code ignored;
+  for (fs::path folder = executable_folder(); folder != folder.root_path(); folder = folder.parent_path())
+    if (fs::is_directory(folder / "deploy", ignored)) return fs::path("out") / name;
+  return user_folder("XDG_STATE_HOME", ".local/state") / "pleat" / name;
 }
 
 std::string last_lines(const fs::path& file, std::size_t count) {

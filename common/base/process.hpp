@@ -56,9 +56,14 @@ void begin_log(const std::filesystem::path& log, const std::string& program);
 std::filesystem::path executable_folder();
 
 /// What comes with Pleat, by its name below deploy/: "garments/tablecloth.obj". Looked for in the deploy/ of the
-/// folders that this executable lies in (a build), then in share/pleat/ beside its bin/ (an installation). Given
-/// relative to the current folder. Where it is in neither, deploy/NAME, so that messages name it.
+/// folders that this executable lies in (a build), in share/pleat/ beside its bin/ (an installation), then in pleat/ of
+/// $XDG_DATA_HOME (~/.local/share) and $XDG_DATA_DIRS. Given relative to the current folder. Where it is in none of
+/// them, deploy/NAME, so that messages name it.
 std::filesystem::path shipped_file(const std::filesystem::path& name);
+
+/// Where programs keep what they are not told to put elsewhere: out/NAME below the current folder in a build, else
+/// $XDG_STATE_HOME/pleat/NAME (~/.local/state).
+std::filesystem::path state_folder(const std::string& name);
 
 /// The last `count` lines that are neither empty nor the first of begin_log, joined by " | "; empty if there is no such
 /// file. Reads 8 KiB at most.

@@ -9,6 +9,9 @@
 
 #include "common/base/bounded_text.hpp"
 #include "common/base/freed_memory.hpp"
+#include "common/base/manual.hpp"
+#include "common/base/terminal.hpp"
+#include "common/base/version.hpp"
 
 namespace pleat {
 namespace {
@@ -28,14 +31,14 @@ std::size_t edit_distance(const std::string& a, const std::string& b) {
   return d[a.size()][b.size()];
 }
 
-/// "; did you mean --frames?" for the first word that the command line did not take, if something like it exists.
+}  // namespace
+
 std::string suggestion(const CLI::App& root) {
   const CLI::App* app = &root;
   while (!app->get_subcommands().empty()) app = app->get_subcommands().front();
   std::vector<std::string> names;
-  for (const CLI::App* command : app->get_subcommands([](const CLI::App*) { return true; }))
-    names.push_back(command->get_name());
-  for (const CLI::Option* option : app->get_options()) {
+  for (const CLI::App* command : visible_commands(*app)) names.push_back(command->get_name());
+  for (const CLI::Option* option : visible_options(*app)) {
     for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
   }
   for (std::string word : root.remaining(true)) {
@@ -55,12 +58,10 @@ std::string suggestion(const CLI::App& root) {
   return "";
 }
 
-}  // namespace
-
 void print_error(const std::string& name, const std::string& message) {
   std::string line = bounded_text(message);
   std::replace(line.begin(), line.end(), '\n', ' ');
-  std::fprintf(stderr, "%s: %s\n", name.c_str(), line.c_str());
+  std::fprintf(stderr, "%s %s\n", colored(name + ":", Color::kRed).c_str(), line.c_str());
 }
 
 std::string command_path(const CLI::App& root) {
@@ -77,10 +78,18 @@ std::string command_path(const CLI::App& root) {
 int run_program(CLI::App& app, int argc, const char* const* argv, const std::function<int()>& body) {
   const std::string name = app.get_name();
   keep_freed_memory();
+  if (app.get_version_ptr() == nullptr) app.set_version_flag("--version", name + " " + version(), "print the version");
   try {
+    if (const auto folder = manual_folder(argc, argv); !folder.empty()) {
+      write_manual(app, version(), folder);
+      return kExitDone;
+    }
     app.parse(argc, argv);
   } catch (const CLI::Success& success) {
     return app.exit(success);  // --help, --version
+  } catch (const Error& error) {
+    print_error(name, error.what());
+    return exit_code(error.code());
   } catch (const CLI::ParseError& error) {
     print_error(name, std::string(error.what()) + suggestion(app) + " (see " + command_path(app) + " --help)");
     return kExitWrongInput;

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cstdio>
 
+#include "common/base/terminal.hpp"
+
 namespace pleat {
 namespace {
 
@@ -49,6 +51,7 @@ void Progress::finish(const std::string& note) {
 }
 
 void Progress::show(const std::string& note, bool last) {
+  if (verbosity() == Verbosity::kQuiet) return;
   shown_ = true;
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   const double rate = seconds > 0 ? static_cast<double>(done_) / seconds : 0;

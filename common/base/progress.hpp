@@ -1,4 +1,5 @@
 // Progress of long work: a bar on a terminal, plain lines otherwise. Always on stderr; stdout stays for results.
+// A quiet program (terminal.hpp) shows its lines alone.
 #pragma once
 
 #include <chrono>

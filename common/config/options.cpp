@@ -11,6 +11,9 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/base/manual.hpp"
+#include "common/base/program.hpp"
+#include "common/base/version.hpp"
 
 namespace pleat::config {
 namespace {
@@ -49,12 +52,14 @@ Options::Options(std::string program, std::string description, std::string envir
 
 bool Options::parse(int argc, const char* const* argv) {
   CLI::App app(description_, program_);
+  app.set_version_flag("--version", program_ + " " + version(), "print the version");
   std::string config_file;
   app.add_option("--config", config_file, "JSON file with options; keys as the flags, with _ for -");
   std::vector<std::vector<std::string>> from_flags(entries_.size());
   for (std::size_t i = 0; i < entries_.size(); ++i) {
     const Entry& entry = entries_[i];
-    const std::string help = entry.help + " [" + entry.get() + "]";
+    const std::string help =
+        entry.help + " [" + entry.get() + "]; environment: " + environment_name(prefix_, entry.name);
     if (entry.kind == Kind::kBool) {
       // --name, --name=false and --no-name
       app.add_flag("--" + entry.name + ",!--no-" + entry.name, from_flags[i], help);
@@ -67,13 +72,20 @@ bool Options::parse(int argc, const char* const* argv) {
       }
     }
   }
+  if (const auto folder = manual_folder(argc, argv); !folder.empty()) {
+    write_manual(app, version(), folder);
+    return false;
+  }
   try {
     app.parse(argc, argv);
   } catch (const CLI::CallForHelp&) {
     std::cout << help();
     return false;
+  } catch (const CLI::CallForVersion& call) {
+    std::cout << call.what() << "\n";
+    return false;
   } catch (const CLI::ParseError& error) {
-    throw_invalid_argument(error.what());
+    throw_invalid_argument(error.what() + suggestion(app));
   }
 
   if (const char* variable = std::getenv((prefix_ + "CONFIG").c_str()); config_file.empty() && variable != nullptr) {

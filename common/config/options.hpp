@@ -41,7 +41,8 @@ class Options {
     return *this;
   }
 
-  /// Fills the variables. Returns false if help was asked for (and printed). Throws kInvalidArgument, naming the option
+  /// Fills the variables. Returns false if help, the version or the manual (common/base/manual.hpp) was asked for, and
+  /// given. Throws kInvalidArgument, naming the option
   /// and where its value came from; kNotFound for a missing configuration file.
   bool parse(int argc, const char* const* argv);
 

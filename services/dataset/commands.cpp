@@ -7,6 +7,20 @@
 #include "services/dataset/verify.hpp"
 
 namespace pleat::dataset {
+namespace {
+
+void print(const VerifyReport& report) {
+  for (const std::string& problem : report.problems) std::printf("problem: %s\n", problem.c_str());
+  std::printf(
+      "%llu sequences, %llu frames, %llu judged: %llu self-intersections, %llu penetrations; feature vertices %.4f m "
+      "off on average, %.4f m at most\n",
+      static_cast<unsigned long long>(report.sequences), static_cast<unsigned long long>(report.frames),
+      static_cast<unsigned long long>(report.frames_judged), static_cast<unsigned long long>(report.self_intersections),
+      static_cast<unsigned long long>(report.penetrations), report.feature_distance_mean_m,
+      report.feature_distance_max_m);
+}
+
+}  // namespace
 
 void add_generate_options(CLI::App& app, GenerateChoice& choice) {
   app.add_option("--set", choice.set, "scenes")
@@ -63,23 +77,26 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   return options;
 }
 
-void print_description(const std::string& folder) {
-  for (const std::string& line : describe(folder)) std::printf("%s\n", line.c_str());
+void print_description(const std::string& folder, bool json) {
+  const nlohmann::json description = describe(folder);
+  if (json) {
+    std::printf("%s\n", description.dump(2).c_str());
+    return;
+  }
+  for (const std::string& line : to_lines(description)) std::printf("%s\n", line.c_str());
 }
 
-void verify_and_print(const std::string& folder, std::uint64_t stride) {
-  const auto report = verify(folder, {stride}, [](const std::string& line) {
+void verify_and_print(const std::string& folder, std::uint64_t stride, bool json) {
+  const auto report = verify(folder, {stride}, [json](const std::string& line) {
+    if (json) return;
     std::printf("%s\n", line.c_str());
     std::fflush(stdout);
   });
-  for (const std::string& problem : report.problems) std::printf("problem: %s\n", problem.c_str());
-  std::printf(
-      "%llu sequences, %llu frames, %llu judged: %llu self-intersections, %llu penetrations; feature vertices %.4f m "
-      "off on average, %.4f m at most\n",
-      static_cast<unsigned long long>(report.sequences), static_cast<unsigned long long>(report.frames),
-      static_cast<unsigned long long>(report.frames_judged), static_cast<unsigned long long>(report.self_intersections),
-      static_cast<unsigned long long>(report.penetrations), report.feature_distance_mean_m,
-      report.feature_distance_max_m);
+  if (json) {
+    std::printf("%s\n", to_json(report).dump(2).c_str());
+  } else {
+    print(report);
+  }
   std::fflush(stdout);
   if (report.problems.empty()) return;
   throw_internal(folder + ": " + std::to_string(report.problems.size()) +

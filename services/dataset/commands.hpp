@@ -25,10 +25,11 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice);
 /// What `choice` asks for. Throws kInvalidArgument (unknown set).
 GenerateOptions generate_options(const GenerateChoice& choice, const std::string& git_revision);
 
-/// What is in the data set, on stdout.
-void print_description(const std::string& folder);
+/// What is in the data set, on stdout; with `json` as describe() has it.
+void print_description(const std::string& folder, bool json = false);
 
-/// Judges the data set and prints what was found on stdout. Throws kInternal with the first problem if there is one.
-void verify_and_print(const std::string& folder, std::uint64_t stride);
+/// Judges the data set and prints what was found on stdout; with `json` as one object. Throws kInternal with the first
+/// problem if there is one.
+void verify_and_print(const std::string& folder, std::uint64_t stride, bool json = false);
 
 }  // namespace pleat::dataset

@@ -15,9 +15,8 @@ namespace {
 
 constexpr std::size_t kMaxProblems = 50;
 
-std::string mesh_line(const std::string& name, const Topology& topology) {
-  return name + " mesh: " + std::to_string(topology.vertex_count()) + " vertices, " +
-         std::to_string(topology.face_count()) + " faces, hash " + topology_hash(topology);
+nlohmann::json mesh_json(const Topology& topology) {
+  return {{"vertices", topology.vertex_count()}, {"faces", topology.face_count()}, {"hash", topology_hash(topology)}};
 }
 
 class Verifier {
@@ -163,31 +162,71 @@ class Verifier {
 
 }  // namespace
 
-std::vector<std::string> describe(const std::filesystem::path& folder) {
+nlohmann::json describe(const std::filesystem::path& folder) {
   const DatasetReader reader(folder);
   const DatasetMaster& master = reader.master();
-  std::vector<std::string> lines = {mesh_line("coarse", master.topology.coarse),
-                                    mesh_line("fine", master.topology.fine),
-                                    "frame time " + std::to_string(master.frame_time_s) + " s, time step " +
-                                        std::to_string(master.time_step_s) + " s",
-                                    "seed " + std::to_string(master.seed) + ", git revision " + master.git_revision,
-                                    std::string("normalisation ") + (master.normalization ? "present" : "absent")};
+  nlohmann::json description = {{"coarse", mesh_json(master.topology.coarse)},
+                                {"fine", mesh_json(master.topology.fine)},
+                                {"frame_time_s", master.frame_time_s},
+                                {"time_step_s", master.time_step_s},
+                                {"seed", master.seed},
+                                {"git_revision", master.git_revision},
+                                {"normalization", master.normalization.has_value()},
+                                {"splits", nlohmann::json::object()},
+                                {"sequences", nlohmann::json::array()}};
   std::map<std::string, std::pair<std::uint64_t, std::uint64_t>> splits;
   const std::vector<SequenceInfo> sequences = reader.sequences();
   for (const SequenceInfo& info : sequences) {
     ++splits[info.split].first;
     splits[info.split].second += info.frames_complete;
-    lines.push_back(info.name + ": " + info.split + ", " + std::to_string(info.frames_complete) + " of " +
-                    std::to_string(info.frames) + " frames" + (info.finished ? "" : ", not finished"));
+    description["sequences"].push_back({{"name", info.name},
+                                        {"split", info.split},
+                                        {"frames", info.frames},
+                                        {"frames_complete", info.frames_complete},
+                                        {"finished", info.finished}});
   }
-  for (const auto& [split, counts] : splits) {
-    lines.push_back("split " + split + ": " + std::to_string(counts.first) + " sequences, " +
-                    std::to_string(counts.second) + " frames");
+  for (const auto& [split, counts] : splits)
+    description["splits"][split] = {{"sequences", counts.first}, {"frames", counts.second}};
+  description["not_begun"] = master.sequences.size() - sequences.size();
+  return description;
+}
+
+std::vector<std::string> to_lines(const nlohmann::json& description) {
+  const auto number = [](const nlohmann::json& value) { return std::to_string(value.get<std::uint64_t>()); };
+  std::vector<std::string> lines;
+  for (const char* name : {"coarse", "fine"}) {
+    const nlohmann::json& mesh = description.at(name);
+    lines.push_back(std::string(name) + " mesh: " + number(mesh.at("vertices")) + " vertices, " +
+                    number(mesh.at("faces")) + " faces, hash " + mesh.at("hash").get<std::string>());
   }
-  if (sequences.size() < master.sequences.size()) {
-    lines.push_back(std::to_string(master.sequences.size() - sequences.size()) + " sequences are not begun");
+  lines.push_back("frame time " + std::to_string(description.at("frame_time_s").get<double>()) + " s, time step " +
+                  std::to_string(description.at("time_step_s").get<double>()) + " s");
+  lines.push_back("seed " + number(description.at("seed")) + ", git revision " +
+                  description.at("git_revision").get<std::string>());
+  lines.push_back(std::string("normalisation ") + (description.at("normalization") ? "present" : "absent"));
+  for (const nlohmann::json& info : description.at("sequences")) {
+    lines.push_back(info.at("name").get<std::string>() + ": " + info.at("split").get<std::string>() + ", " +
+                    number(info.at("frames_complete")) + " of " + number(info.at("frames")) + " frames" +
+                    (info.at("finished") ? "" : ", not finished"));
   }
+  for (const auto& [split, counts] : description.at("splits").items()) {
+    lines.push_back("split " + split + ": " + number(counts.at("sequences")) + " sequences, " +
+                    number(counts.at("frames")) + " frames");
+  }
+  if (description.at("not_begun") > 0)
+    lines.push_back(number(description.at("not_begun")) + " sequences are not begun");
   return lines;
+}
+
+nlohmann::json to_json(const VerifyReport& report) {
+  return {{"problems", report.problems},
+          {"sequences", report.sequences},
+          {"frames", report.frames},
+          {"frames_judged", report.frames_judged},
+          {"self_intersections", report.self_intersections},
+          {"penetrations", report.penetrations},
+          {"feature_distance_mean_m", report.feature_distance_mean_m},
+          {"feature_distance_max_m", report.feature_distance_max_m}};
 }
 
 VerifyReport verify(const std::filesystem::path& folder, const VerifyOptions& options,

@@ -4,13 +4,17 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
 namespace pleat::dataset {
 
-/// Lines for people: meshes, splits, sequences with their frames.
-std::vector<std::string> describe(const std::filesystem::path& folder);
+/// What is in a data set: coarse and fine (vertices, faces, uv), frame_time_s, time_step_s, seed, git_revision,
+/// normalization, splits (sequences, frames), sequences (name, split, frames, frames_complete, finished), not_begun.
+nlohmann::json describe(const std::filesystem::path& folder);
+/// The same in lines for people.
+std::vector<std::string> to_lines(const nlohmann::json& description);
 
 struct VerifyOptions {
   std::uint64_t stride = 1;  ///< frames between two that are checked for intersections; the rest is checked everywhere
@@ -26,6 +30,9 @@ struct VerifyReport {
   double feature_distance_mean_m = 0;    ///< between coarse vertices and the fine feature vertices
   double feature_distance_max_m = 0;
 };
+
+/// The members of the report under their names.
+nlohmann::json to_json(const VerifyReport& report);
 
 /// Checks every invariant: all planned sequences are finished, sizes and hashes agree, every value is finite, times are
 /// equally spaced, feature vertices follow their coarse vertices (at most a fifth of the cloth's size away), frames are

@@ -131,6 +131,17 @@ TEST_F(ProcessTest, ShippedFilesAreFoundFromAnyFolder) {
   fs::current_path(folder_);
   EXPECT_TRUE(fs::equivalent(shipped_file("garments/skirt.obj"), skirt));
   EXPECT_EQ(shipped_file("garments/none.obj"), "deploy/garments/none.obj");
+  // A user's own, beside those that came with the program.
+  fs::create_directories("data/pleat/garments");
+  std::ofstream("data/pleat/garments/mine.obj") << "v 0 0 0\n";
+  ::setenv("XDG_DATA_HOME", (folder_ / "data").c_str(), 1);
+  EXPECT_TRUE(fs::equivalent(shipped_file("garments/mine.obj"), "data/pleat/garments/mine.obj"));
+  EXPECT_TRUE(fs::equivalent(shipped_file("garments/skirt.obj"), skirt));
+  ::unsetenv("XDG_DATA_HOME");
+  ::setenv("XDG_DATA_DIRS", ("/nowhere:" + (folder_ / "data").string()).c_str(), 1);
+  EXPECT_TRUE(fs::equivalent(shipped_file("garments/mine.obj"), "data/pleat/garments/mine.obj"));
+  ::unsetenv("XDG_DATA_DIRS");
+  EXPECT_EQ(state_folder("services"), "out/services");
   fs::current_path(here);
 }
 

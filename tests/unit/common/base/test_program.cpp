@@ -41,6 +41,7 @@ TEST(Program, MistypedNamesAreGuessed) {
               testing::AllOf(testing::HasSubstr("did you mean --frames?"),
                              testing::HasSubstr("see example dataset generate --help")));
   EXPECT_THAT(answer({"zzz"}, kExitWrongInput), testing::Not(testing::HasSubstr("did you mean")));
+  EXPECT_THAT(answer({"--verson"}, kExitWrongInput), testing::HasSubstr("did you mean --version?"));
   EXPECT_EQ(answer({"dataset", "generate", "x", "--frames", "3"}, kExitDone), "");
 }
 

@@ -119,7 +119,7 @@ TEST_F(Verify, FindsWhatIsMissing) {
 }
 
 TEST_F(Verify, DescribeSaysWhatIsThere) {
-  const auto lines = describe(options.folder);
+  const auto lines = to_lines(describe(options.folder));
   const auto has = [&](const std::string& part) {
     return std::any_of(lines.begin(), lines.end(), [&](const auto& l) { return l.find(part) != std::string::npos; });
   };

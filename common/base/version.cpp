@@ -1,0 +1,7 @@
+#include "common/base/version.hpp"
+
+namespace pleat {
+
+std::string version() { return PLEAT_VERSION; }
+
+}  // namespace pleat
