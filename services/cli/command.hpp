@@ -22,6 +22,7 @@ std::vector<Command> add_health(CLI::App& root);
 std::vector<Command> add_run(CLI::App& root);
 std::vector<Command> add_enhance(CLI::App& root);
 std::vector<Command> add_dataset(CLI::App& root);
+std::vector<Command> add_bridge(CLI::App& root);
 std::vector<Command> add_check(CLI::App& root);
 std::vector<Command> add_export(CLI::App& root);
 std::vector<Command> add_body(CLI::App& root);
@@ -31,6 +32,9 @@ std::vector<Command> add_bench(CLI::App& root);
 
 /// --tls-ca, --tls-certificate, --tls-key, --tls-server-name, for coordinators on other hosts.
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls);
+
+/// --json; `what`: the form of what is printed.
+void add_json_option(CLI::App& app, bool& json, const std::string& what);
 
 /// --detail network|fold|both; empty: what the coordinator takes where nobody says it.
 void add_detail_option(CLI::App& app, std::string& detail);

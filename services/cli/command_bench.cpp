@@ -5,6 +5,7 @@
 
 #include "common/base/machine.hpp"
 #include "common/base/own_file.hpp"
+#include "common/base/process.hpp"
 #include "common/base/progress.hpp"
 #include "common/base/whole_file.hpp"
 #include "services/cli/command.hpp"
@@ -114,7 +115,7 @@ std::vector<Command> add_bench(CLI::App& root) {
          "names", choice->names,
          "one or several of them (default: all but tables, the paper's with our figures beside the printed ones)")
       ->check(CLI::IsMember(names));
-  app->add_flag("--json", choice->json, "one JSON object: name -> figure -> {median, runs, unit}");
+  add_json_option(*app, choice->json, "print one JSON object: name -> figure -> {median, runs, unit}");
   app->add_option("--frames", choice->options.frames, "frames (or runs) of a figure; costly ones take a quarter")
       ->capture_default_str()
       ->check(positive_number());
@@ -126,7 +127,10 @@ std::vector<Command> add_bench(CLI::App& root) {
   app->add_option(
       "--dataset", choice->options.dataset,
       "conversion, refinement: folder of a data set, for its test frames (default: frames made on the spot)");
-  app->add_option("--out", choice->options.out, "folder for logs and files of jobs")->capture_default_str();
+  choice->options.out.clear();
+  app->add_option(
+      "--out", choice->options.out,
+      "folder for logs and files of jobs (default: out/bench in a build, else $XDG_STATE_HOME/pleat/bench)");
   const auto tables = app->add_option_group("tables", "for 'tables'");
   tables->add_option("--draping", choice->tables.draping,
                      "data set (default: out/dataset/draping-full, else out/dataset/draping)");
@@ -139,7 +143,10 @@ std::vector<Command> add_bench(CLI::App& root) {
       ->check(positive_number());
   tables->add_option("--timed", choice->tables.timed_frames, "frames that are simulated for Table 1; 0: none")
       ->capture_default_str();
-  return {{app, [choice] { return bench(*choice); }}};
+  return {{app, [choice] {
+             if (choice->options.out.empty()) choice->options.out = state_folder("bench");
+             return bench(*choice);
+           }}};
 }
 
 }  // namespace pleat::cli

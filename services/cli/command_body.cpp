@@ -1,5 +1,6 @@
 // `pleat body`: a rigged character and a motion to the animated mesh of a scene.
 #include <cstdio>
+#include <nlohmann/json.hpp>
 
 #include "common/base/limits.hpp"
 #include "common/base/progress.hpp"
@@ -22,17 +23,32 @@ struct BodyOptions {
   body::MotionOptions motion;
   body::SpeedLimits limits;
   std::string out, skinning = "linear";
-  bool keep_place = false;
+  bool keep_place = false, json = false;
   std::size_t frames = 0;
 };
 
-void say(const body::AnimatedBody& body, const BodyOptions& options, std::size_t frames) {
-  std::printf("body: %td vertices, %zu joints\n", body.mesh().mesh.vertex_count(), body.mesh().skeleton.size());
-  std::printf("motion: %zu frames of %g s\n", frames, options.motion.frame_time_s);
-  for (const std::string& note : body.notes()) std::printf("note: %s\n", note.c_str());
-  const auto fast = body::find_fast(body.motion(), options.limits);
+/// What the body is, in which places its motion is too fast, and where it was written.
+nlohmann::json describe(const body::AnimatedBody& body, const BodyOptions& options, std::size_t frames) {
+  nlohmann::json description = {{"vertices", body.mesh().mesh.vertex_count()},
+                                {"joints", body.mesh().skeleton.size()},
+                                {"frames", frames},
+                                {"frame_time_s", options.motion.frame_time_s},
+                                {"notes", body.notes()},
+                                {"too_fast", nlohmann::json::array()}};
+  for (const auto& place : body::find_fast(body.motion(), options.limits))
+    description["too_fast"].push_back(body::describe(place, options.limits));
+  return description;
+}
+
+void print(const nlohmann::json& description) {
+  std::printf("body: %zu vertices, %zu joints\n", description.at("vertices").get<std::size_t>(),
+              description.at("joints").get<std::size_t>());
+  std::printf("motion: %zu frames of %g s\n", description.at("frames").get<std::size_t>(),
+              description.at("frame_time_s").get<double>());
+  for (const auto& note : description.at("notes")) std::printf("note: %s\n", note.get<std::string>().c_str());
+  const nlohmann::json& fast = description.at("too_fast");
   for (std::size_t i = 0; i < std::min(fast.size(), kMaxFastPlaces); ++i)
-    std::printf("too fast: %s\n", body::describe(fast[i], options.limits).c_str());
+    std::printf("too fast: %s\n", fast[i].get<std::string>().c_str());
   if (fast.size() > kMaxFastPlaces) std::printf("too fast: and %zu more joints\n", fast.size() - kMaxFastPlaces);
 }
 
@@ -68,7 +84,8 @@ int make_body(BodyOptions options) {
       options.source, options.motion,
       options.skinning == "dual" ? body::Skinning::kDualQuaternion : body::Skinning::kLinear);
   const std::size_t frames = options.frames > 0 ? options.frames : animated.frame_count();
-  say(animated, options, frames);
+  nlohmann::json description = describe(animated, options, frames);
+  if (!options.json) print(description);
   if (out.has_parent_path()) fs::create_directories(out.parent_path());
   presentation::ExportInput input;
   input.name = out.stem().string();
@@ -91,8 +108,12 @@ int make_body(BodyOptions options) {
     if (kind == ".h5") write_h5(out, input, progress);
   }
   bar.finish();
-  if (kind != ".obj") std::printf("%s\n", out.c_str());
-  std::printf("%s\n", mesh.c_str());
+  if (kind != ".obj") description["files"].push_back(out.string());
+  description["files"].push_back(mesh.string());
+  if (options.json)
+    std::printf("%s\n", description.dump(2).c_str());
+  else
+    for (const auto& file : description.at("files")) std::printf("%s\n", file.get<std::string>().c_str());
   return kExitDone;
 }
 
@@ -128,6 +149,7 @@ std::vector<Command> add_body(CLI::App& root) {
   app->add_option("--speed-limit", options->limits.metres_per_s, "a joint that is faster is named, m/s")
       ->capture_default_str()
       ->check(positive_number());
+  add_json_option(*app, options->json, "print one JSON object: vertices, joints, frames, too_fast, files");
   return {{app, [options] { return make_body(*options); }}};
 }
 

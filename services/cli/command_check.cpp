@@ -49,7 +49,7 @@ std::vector<Command> add_check(CLI::App& root) {
   app->add_option("--scale", options->check.scale, "metres per unit of garments and frames")
       ->capture_default_str()
       ->check(positive_number());
-  app->add_flag("--json", options->json, "one JSON array: file, facts, notes, faults");
+  add_json_option(*app, options->json, "print one JSON array: file, facts, notes, faults");
   return {{app, [options] { return check(*options); }}};
 }
 

@@ -10,7 +10,7 @@
 namespace pleat::cli {
 namespace {
 
-int generate(const dataset::GenerateChoice& choice) {
+int generate(const dataset::GenerateChoice& choice, bool json) {
   // The work resumes from disk: being stopped at once is the fastest clean end.
   restore_signal_handlers();
   const dataset::GenerateOptions options = dataset::generate_options(choice, git_revision());
@@ -23,7 +23,7 @@ int generate(const dataset::GenerateChoice& choice) {
     if (!progress.message.empty()) shown->line(progress.message);
   });
   if (shown) shown->finish();
-  dataset::print_description(choice.folder);
+  dataset::print_description(choice.folder, json);
   return kExitDone;
 }
 
@@ -37,10 +37,14 @@ std::vector<Command> add_dataset(CLI::App& root) {
   const auto choice = std::make_shared<dataset::GenerateChoice>();
   make->add_option("folder", choice->folder, "folder of the data set")->required();
   dataset::add_generate_options(*make, *choice);
+  const auto json = std::make_shared<bool>(false);
+  const std::string form = "print one JSON object: meshes, splits, sequences";
+  add_json_option(*make, *json, form);
 
   CLI::App* info = app->add_subcommand("info", "what is in a data set");
   const auto info_folder = std::make_shared<std::string>();
   info->add_option("folder", *info_folder, "folder of the data set")->required();
+  add_json_option(*info, *json, form);
 
   CLI::App* check = app->add_subcommand("verify", "check every invariant; exit code 1 if one is broken");
   const auto check_folder = std::make_shared<std::string>();
@@ -49,15 +53,16 @@ std::vector<Command> add_dataset(CLI::App& root) {
   check->add_option("--stride", *stride, "judge intersections of every n-th frame only")
       ->capture_default_str()
       ->check(positive_number());
+  add_json_option(*check, *json, "print one JSON object: problems, counts, distances of feature vertices");
 
-  return {{make, [choice] { return generate(*choice); }},
+  return {{make, [choice, json] { return generate(*choice, *json); }},
           {info,
-           [info_folder] {
-             dataset::print_description(*info_folder);
+           [info_folder, json] {
+             dataset::print_description(*info_folder, *json);
              return kExitDone;
            }},
-          {check, [check_folder, stride] {
-             dataset::verify_and_print(*check_folder, *stride);
+          {check, [check_folder, stride, json] {
+             dataset::verify_and_print(*check_folder, *stride, *json);
              return kExitDone;
            }}};
 }

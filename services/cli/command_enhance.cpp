@@ -6,6 +6,7 @@
 #include "common/base/progress.hpp"
 #include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
+#include "common/base/terminal.hpp"
 #include "common/base/text_file.hpp"
 #include "common/client/adapter/adapter.hpp"
 #include "common/client/cpp/client.hpp"
@@ -30,6 +31,7 @@ struct EnhanceOptions {
   std::string rest, frames, out, model, detail, material, coordinator;
   std::vector<std::string> obstacles;
   double fps = 0, timeout_s = 30, scale = 1;
+  bool json = false;
   std::uint32_t window = 0;
   std::optional<std::uint32_t> rounds;
   std::vector<std::uint32_t> held;
@@ -82,7 +84,8 @@ int enhance(const EnhanceOptions& options) {
   const fs::path out = options.out;
   std::optional<ScratchFolder> work;
   std::optional<Launcher> launcher;
-  const std::string material = options.material.empty() ? "" : read_text_file(options.material);
+  const std::string material =
+      options.material.empty() ? "" : read_text_file(shipped_or(options.material, "materials"));
   ModelChoice model{options.model, {}};
   if (options.coordinator.empty() && uses_network(detail)) model = choose_model(options.model);
   make_output_folder(out);
@@ -113,6 +116,9 @@ int enhance(const EnhanceOptions& options) {
                                                    .material_json = material,
                                                    .held = options.held});
   const client::SessionInfo& info = session.info();
+  say("session of " + std::to_string(count) + " frames at " + address + ": " + std::to_string(rest.vertex_count()) +
+      " -> " + std::to_string(info.fine.vertex_count()) + " vertices, detail " + std::string(name_of(info.detail)) +
+      (info.model.empty() ? "" : ", model " + info.model));
   ResultRecorder recorder({out / "result.h5",
                            {rest, client::to_topology(info.fine), info.feature_vertices},
                            count,
@@ -170,7 +176,7 @@ int enhance(const EnhanceOptions& options) {
   summary.wall_s = wall_s;
   summary.extra["detail"] = name_of(info.detail);
   summary.extra["frame_errors"] = recorder.frame_errors();
-  return write_reports(out, std::move(summary));
+  return write_reports(out, std::move(summary), options.json);
 }
 
 }  // namespace
@@ -189,7 +195,8 @@ std::vector<Command> add_enhance(CLI::App& root) {
                   "model bundle: a file, or a name in deploy/models (default: the service's)");
   add_detail_option(*app, options->detail);
   app->add_option("--material", options->material,
-                  "what the cloth is made of, for the fold step: a material file (default: Gray Interlock)");
+                  "what the cloth is made of, for the fold step: a material file, or the name of a shipped one "
+                  "(default: gray-interlock)");
   app->add_option("--held", options->held,
                   "coarse vertices that the cloth is held at, for the fold step: indices with commas")
       ->delimiter(',');
@@ -215,6 +222,7 @@ std::vector<Command> add_enhance(CLI::App& root) {
   app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
       ->capture_default_str()
       ->check(positive_number());
+  add_json_option(*app, options->json, "print report.json instead of a summary");
   add_tls_options(*app, options->tls);
   return {{app, [options] { return enhance(*options); }}};
 }

@@ -15,7 +15,7 @@ namespace {
 namespace fs = std::filesystem;
 
 struct EvalOptions {
-  std::string dataset, logs = "out/eval", coordinator;
+  std::string dataset, logs, coordinator;
   std::vector<std::string> models;
   evaluation::EvaluationOptions evaluation;
   bool json = false, baselines = false, skip_refinement = false;
@@ -48,8 +48,9 @@ int evaluate_command(const EvalOptions& options) {
       LauncherOptions launch;
       launch.models = folder;
       launch.model = names.front();
-      launch.data = fs::path(options.logs) / "services";
-      launch.logs = fs::path(options.logs) / "logs";
+      const fs::path logs = options.logs.empty() ? state_folder("eval") : fs::path(options.logs);
+      launch.data = logs / "services";
+      launch.logs = logs / "logs";
       launcher.emplace(launch);
       address = launcher->coordinator();
     }
@@ -86,8 +87,9 @@ std::vector<Command> add_eval(CLI::App& root) {
   app->add_flag("--baselines", options->baselines,
                 "also wrinkles by example (Zurdo et al. 2013) from the data set's training split");
   app->add_flag("--skip-refinement", options->skip_refinement, "the bundles' meshes as the networks make them");
-  app->add_flag("--json", options->json, "one JSON object: method -> metric -> value");
-  app->add_option("--logs", options->logs, "folder for the services' logs")->capture_default_str();
+  add_json_option(*app, options->json, "print one JSON object: method -> metric -> value");
+  app->add_option("--logs", options->logs,
+                  "folder for the services' logs (default: out/eval in a build, else $XDG_STATE_HOME/pleat/eval)");
   app->add_option("--coordinator", options->coordinator,
                   "address of a running coordinator (default: start all services)");
   app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")

@@ -1,5 +1,6 @@
 // `pleat export`: results as files that other tools open.
 #include <cstdio>
+#include <nlohmann/json.hpp>
 
 #include "common/base/progress.hpp"
 #include "common/base/signals.hpp"
@@ -11,7 +12,7 @@ namespace {
 
 struct ExportOptions {
   std::string result, format, out, which = "enhanced";
-  bool overwrite = false;
+  bool overwrite = false, json = false;
 };
 
 int export_result(const ExportOptions& options) {
@@ -29,7 +30,17 @@ int export_result(const ExportOptions& options) {
       },
       options.overwrite);
   progress.finish();
-  for (const fs::path& file : files) std::printf("%s\n", file.c_str());
+  if (options.json) {
+    nlohmann::json names = nlohmann::json::array();
+    for (const fs::path& file : files) names.push_back(file.string());
+    const nlohmann::json report = {{"frames", input.frame_count},
+                                   {"vertices", input.topology.vertex_count()},
+                                   {"frame_time_s", input.frame_time_s},
+                                   {"files", std::move(names)}};
+    std::printf("%s\n", report.dump(2).c_str());
+  } else {
+    for (const fs::path& file : files) std::printf("%s\n", file.c_str());
+  }
   return kExitDone;
 }
 
@@ -47,6 +58,7 @@ std::vector<Command> add_export(CLI::App& root) {
       ->capture_default_str()
       ->check(CLI::IsMember({"enhanced", "coarse", "fine"}));
   app->add_flag("--overwrite", options->overwrite, "also replace files that are no earlier exports");
+  add_json_option(*app, options->json, "print one JSON object: frames, vertices, frame_time_s, files");
   return {{app, [options] { return export_result(*options); }}};
 }
 

@@ -7,6 +7,7 @@
 #include "common/base/progress.hpp"
 #include "common/base/scratch_folder.hpp"
 #include "common/base/signals.hpp"
+#include "common/base/terminal.hpp"
 #include "common/client/adapter/adapter.hpp"
 #include "common/client/cpp/client.hpp"
 #include "common/frame/scene_json.hpp"
@@ -30,6 +31,7 @@ struct RunOptions {
   std::uint32_t frames = 0;
   bool reference = false;
   bool untangle = false;
+  bool json = false;
   double timeout_s = 30, scale = 1;
   rpc::TlsOptions tls;
 };
@@ -75,7 +77,8 @@ class Run {
   int operator()() {
     const v1::Detail detail = choose_detail(options_.detail, options_.model);
     std::vector<std::string> notes;
-    v1::Scene scene = presentation::read_scene_file(options_.scene, {options_.frames, options_.scale, &notes});
+    v1::Scene scene =
+        presentation::read_scene_file(shipped_or(options_.scene, "scenes"), {options_.frames, options_.scale, &notes});
     print_notes(notes);
     if (options_.untangle) scene.set_untangle(true);
     const bool local = options_.coordinator.empty();
@@ -111,6 +114,8 @@ class Run {
     *request.mutable_scene() = std::move(scene);
 
     v1::Job job = client_->create_job(request);
+    say("job " + job.id() + " of " + std::to_string(frames) + " frames at " + client_->address() + ", detail " +
+        std::string(name_of(detail)) + (model.name.empty() ? "" : ", model " + model.name));
     try {
       job = follow(job, local ? client::JobSinks{} : remote.sinks());
     } catch (const Error& error) {
@@ -210,7 +215,7 @@ class Run {
     summary.extra["frame_errors"] = job.summary().frame_errors();
     summary.extra["pinched_frames"] = job.summary().pinched_frames();
     summary.extra["pinch_depth_mm"] = 1e3 * static_cast<double>(job.summary().pinch_depth_m());
-    return write_reports(out_, std::move(summary));
+    return write_reports(out_, std::move(summary), options_.json);
   }
 
   RunOptions options_;
@@ -225,7 +230,8 @@ class Run {
 std::vector<Command> add_run(CLI::App& root) {
   CLI::App* app = root.add_subcommand("run", "simulate a scene and enhance it; leaves result.h5 and a report");
   const auto options = std::make_shared<RunOptions>();
-  app->add_option("scene", options->scene, "scene file, for example deploy/scenes/draping.json")->required();
+  app->add_option("scene", options->scene, "scene file, or the name of a shipped one: draping, curtain, dancer")
+      ->required();
   app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
   app->add_option("--frames", options->frames, "frames to make (default: the scene's)")->check(positive_number());
   app->add_option("--model", options->model,
@@ -243,6 +249,7 @@ std::vector<Command> add_run(CLI::App& root) {
   app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
       ->capture_default_str()
       ->check(positive_number());
+  add_json_option(*app, options->json, "print report.json instead of a summary");
   add_tls_options(*app, options->tls);
   return {{app, [options] { return Run(*options)(); }}};
 }

@@ -12,8 +12,7 @@ namespace pleat::cli {
 namespace {
 
 struct UpOptions {
-  std::string listen, models, metrics_listen;
-  std::string data = "out/services";
+  std::string listen, models, metrics_listen, data;
   double answer_timeout_s = 20;
 };
 
@@ -23,7 +22,7 @@ int up(const UpOptions& options) {
                            ": not a local address; beyond this host run pleat-coordinator itself, with --tls-*");
   LauncherOptions launch;
   launch.models = options.models;
-  launch.data = options.data;
+  launch.data = options.data.empty() ? state_folder("services") : std::filesystem::path(options.data);
   launch.logs = launch.data / "logs";
   launch.listen = options.listen;
   launch.metrics_listen = options.metrics_listen;
@@ -50,7 +49,8 @@ std::vector<Command> add_up(CLI::App& root) {
       "--listen", options->listen,
       "address of the coordinator: unix:PATH or 127.0.0.1:PORT, port 0 for any (default: a private socket)");
   app->add_option("--models", options->models, "folder of the model bundles (default: deploy/models)");
-  app->add_option("--data", options->data, "folder for jobs and logs")->capture_default_str();
+  app->add_option("--data", options->data,
+                  "folder for jobs and logs (default: out/services in a build, else $XDG_STATE_HOME/pleat/services)");
   app->add_option("--answer-timeout-s", options->answer_timeout_s,
                   "a service that does not answer health checks this long is replaced")
       ->capture_default_str()

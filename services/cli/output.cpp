@@ -5,6 +5,7 @@
 #include "common/base/error.hpp"
 #include "common/base/machine.hpp"
 #include "common/base/own_file.hpp"
+#include "common/base/terminal.hpp"
 #include "common/store/hdf5.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
@@ -26,33 +27,7 @@ bool has_bundle(const fs::path& folder) {
   return false;
 }
 
-}  // namespace
-
-void print_notes(const std::vector<std::string>& notes) {
-  constexpr std::size_t kMost = 3;
-  for (std::size_t i = 0; i < notes.size() && i < kMost; ++i) {
-    const bool more = i + 1 == kMost && notes.size() > kMost;
-    std::fprintf(
-        stderr, "note: %s\n",
-        more ? (std::to_string(notes.size() - i) + " more notes; `pleat check` prints all").c_str() : notes[i].c_str());
-  }
-}
-
-void make_output_folder(const fs::path& folder) {
-  make_writable_folder(folder);
-  for (const char* name : {"result.h5", "result.h5.partial"}) {
-    require_absent_or(hdf5::is_own(folder / name), folder / name);
-  }
-  for (const char* name : {"report.json", "report.html"}) require_replaceable(folder / name, kReportMarks);
-}
-
-int write_reports(const fs::path& folder, presentation::ReportSummary summary) {
-  summary.git_revision = git_revision();
-  summary.extra["machine"] = machine_info();
-  const presentation::ReportInput input = presentation::read_report_input(folder / "result.h5", std::move(summary));
-  presentation::write_report_json(input, folder / "report.json");
-  presentation::write_report_html(input, folder / "report.html");
-  const nlohmann::json report = presentation::make_report_json(input);
+void print_figures(const fs::path& folder, const presentation::ReportInput& input, const nlohmann::json& report) {
   std::printf("%zu frames, %lld -> %lld vertices, %.2f s, %.2f frames a second\n", input.frame_count,
               static_cast<long long>(input.coarse_topology.vertex_count()),
               static_cast<long long>(input.fine_topology.vertex_count()), report.value("wall_s", 0.0),
@@ -66,6 +41,47 @@ int write_reports(const fs::path& folder, presentation::ReportSummary summary) {
               static_cast<unsigned long long>(report.value("penetrations", 0ull)),
               static_cast<unsigned long long>(report.value("self_intersections", 0ull)));
   for (const char* name : {"result.h5", "report.json", "report.html"}) std::printf("%s\n", (folder / name).c_str());
+}
+
+}  // namespace
+
+std::string shipped_or(const std::string& text, const std::string& folder) {
+  std::error_code ignored;
+  if (text.empty() || fs::path(text).has_parent_path() || fs::exists(text, ignored)) return text;
+  const fs::path shipped = shipped_file(fs::path(folder) / (text.ends_with(".json") ? text : text + ".json"));
+  return fs::exists(shipped, ignored) ? shipped.string() : text;
+}
+
+void print_notes(const std::vector<std::string>& notes) {
+  if (verbosity() == Verbosity::kQuiet) return;
+  const std::size_t most = verbosity() == Verbosity::kVerbose ? notes.size() : 3;
+  for (std::size_t i = 0; i < notes.size() && i < most; ++i) {
+    const bool more = i + 1 == most && notes.size() > most;
+    std::fprintf(
+        stderr, "%s %s\n", colored("note:", Color::kYellow).c_str(),
+        more ? (std::to_string(notes.size() - i) + " more notes; `pleat check` prints all").c_str() : notes[i].c_str());
+  }
+}
+
+void make_output_folder(const fs::path& folder) {
+  make_writable_folder(folder);
+  for (const char* name : {"result.h5", "result.h5.partial"}) {
+    require_absent_or(hdf5::is_own(folder / name), folder / name);
+  }
+  for (const char* name : {"report.json", "report.html"}) require_replaceable(folder / name, kReportMarks);
+}
+
+int write_reports(const fs::path& folder, presentation::ReportSummary summary, bool json) {
+  summary.git_revision = git_revision();
+  summary.extra["machine"] = machine_info();
+  const presentation::ReportInput input = presentation::read_report_input(folder / "result.h5", std::move(summary));
+  presentation::write_report_json(input, folder / "report.json");
+  presentation::write_report_html(input, folder / "report.html");
+  const nlohmann::json report = presentation::make_report_json(input);
+  if (json)
+    std::printf("%s\n", report.dump(2).c_str());
+  else
+    print_figures(folder, input, report);
   std::fflush(stdout);
   const auto penetrations = report.value("penetrations", 0ull),
              intersections = report.value("self_intersections", 0ull);
@@ -96,8 +112,14 @@ ModelChoice choose_model(const std::string& text) {
   if (file.extension() != ".pt") file += ".pt";
   if (file.has_parent_path())
     choice.folder = file.parent_path();
-  else
+  else if (fs::is_regular_file(default_models_folder() / file, ignored))
     file = default_models_folder() / file;
+  else if (const fs::path other = shipped_file("models" / file); fs::is_regular_file(other, ignored)) {
+    file = other;
+    choice.folder = other.parent_path();
+  } else {
+    file = default_models_folder() / file;
+  }
   if (!fs::is_regular_file(file, ignored)) throw_not_found(file.string() + ": no such model bundle");
   choice.name = file.stem().string();
   return choice;

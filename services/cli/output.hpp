@@ -14,12 +14,17 @@ namespace pleat::cli {
 /// can't be made or written, kAlreadyExists for a file there that is no result or report; it is named.
 void make_output_folder(const std::filesystem::path& folder);
 
-/// Prints what is worth knowing about the input on stderr, three lines at most.
+/// `text` where there is such a file or it is a path; else what comes with Pleat under that name: "draping" is
+/// scenes/draping.json for the folder "scenes".
+std::string shipped_or(const std::string& text, const std::string& folder);
+
+/// Prints what is worth knowing about the input on stderr, three lines at most (verbose: all; quiet: none).
 void print_notes(const std::vector<std::string>& notes);
 
-/// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout. Returns the exit code:
+/// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout, with
+/// `json` as report.json has them. Returns the exit code:
 /// kExitNotClean, with a line on stderr, if penetrations or self-intersections are left.
-int write_reports(const std::filesystem::path& folder, presentation::ReportSummary summary);
+int write_reports(const std::filesystem::path& folder, presentation::ReportSummary summary, bool json = false);
 
 /// "draping" and, if the text is a path, its folder: "deploy/models/draping.pt" -> {draping, deploy/models}.
 struct ModelChoice {

@@ -1,5 +1,6 @@
 #include "common/base/machine.hpp"
 #include "common/base/signals.hpp"
+#include "common/base/terminal.hpp"
 #include "common/frame/detail.hpp"
 #include "services/cli/command.hpp"
 
@@ -10,7 +11,7 @@ constexpr const char* kDescription =
     "Pleat turns a cheap coarse cloth simulation into a detailed, collision-free fine mesh, frame by frame.";
 constexpr const char* kFooter =
     "Examples:\n"
-    "  pleat run deploy/scenes/draping.json --out out/demo\n"
+    "  pleat run draping --out out/demo\n"
     "  pleat enhance --rest garment.obj --frames 'frames/*.obj' --out out/mine\n"
     "  pleat export out/demo/result.h5 --format pc2\n"
     "\n"
@@ -27,6 +28,11 @@ std::vector<const char*> with_help(int argc, const char* const* argv) {
   return words;
 }
 
+void add_verbosity(CLI::App& app, bool& quiet, bool& verbose) {
+  const auto option = app.add_flag("-q,--quiet", quiet, "no progress and no notes: errors and warnings alone");
+  app.add_flag("-v,--verbose", verbose, "also what is done on the way, on stderr")->excludes(option);
+}
+
 }  // namespace
 
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls) {
@@ -39,6 +45,8 @@ void add_tls_options(CLI::App& app, rpc::TlsOptions& tls) {
       ->envname("PLEAT_TLS_SERVER_NAME");
 }
 
+void add_json_option(CLI::App& app, bool& json, const std::string& what) { app.add_flag("--json", json, what); }
+
 void add_detail_option(CLI::App& app, std::string& detail) {
   app.add_option(
          "--detail", detail,
@@ -50,15 +58,19 @@ void add_detail_option(CLI::App& app, std::string& detail) {
 int run_pleat(int argc, const char* const* argv) {
   install_signal_handlers();
   CLI::App root(kDescription, "pleat");
-  root.set_version_flag("--version", "pleat " + version() + " (" + git_revision() + ")");
+  root.set_version_flag("--version", "pleat " + version() + " (" + git_revision() + ")", "print the version");
   root.require_subcommand(0, 1);
   std::vector<Command> commands;
-  for (const auto add : {add_up, add_run, add_enhance, add_check, add_export, add_body, add_dress, add_dataset,
-                         add_eval, add_bench, add_health})
+  for (const auto add :
+       {add_up, add_run, add_enhance, add_check, add_export, add_body, add_dataset, add_eval, add_bench, add_bridge, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
   root.footer(kFooter);
+  bool quiet = false, verbose = false;
+  add_verbosity(root, quiet, verbose);
+  for (const Command& command : commands) add_verbosity(*command.app, quiet, verbose);
   const std::vector<const char*> words = with_help(argc, argv);
   return run_program(root, static_cast<int>(words.size()), words.data(), [&] {
+    if (quiet || verbose) set_verbosity(quiet ? Verbosity::kQuiet : Verbosity::kVerbose);
     for (const Command& command : commands)
       if (command.app->parsed()) return command.run();
     print_error("pleat", command_path(root) + ": no command given (see " + command_path(root) + " --help)");

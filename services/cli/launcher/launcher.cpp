@@ -9,6 +9,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/signals.hpp"
+#include "common/base/terminal.hpp"
 #include "common/rpc/channel.hpp"
 
 namespace pleat::cli {
@@ -129,6 +130,8 @@ void Launcher::start_service(std::size_t index) {
   const auto size = fs::file_size(log, ignored);
   ChildProcess child(options_.executables / ("pleat-" + service.name), arguments, log);
   service.pid = child.pid();
+  say("pleat-" + service.name + ": process " + std::to_string(service.pid) + " at " + service.address + ", log " +
+      log.string());
   const std::streamoff log_start = ignored ? 0 : static_cast<std::streamoff>(size);
   if (index < running_.size()) {
     running_[index].process = std::move(child);
@@ -157,6 +160,7 @@ void Launcher::wait_until_healthy() {
       }
       if (channel && rpc::is_healthy(channel, service.health_name, kHealthTimeout)) {
         liveness_.watch(service.name, service.health_name, service.address, options_.patience);
+        say("pleat-" + service.name + " serves");
         break;
       }
       if (Clock::now() >= deadline)
