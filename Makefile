@@ -17,7 +17,7 @@ CRASH_MINUTES ?= 100
 SOAK_MINUTES ?= 60
 FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine
 
-.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install python
+.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install deb python
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -45,6 +45,11 @@ programs: configure
 install: programs ## install the programs and what comes with them below PREFIX (/usr/local) and DESTDIR
 	@DESTDIR="$(DESTDIR)" cmake --install $(BUILD) --prefix "$(PREFIX)" >/dev/null
 	@echo "install: $(DESTDIR)$(PREFIX)/bin/pleat"
+
+deb: programs ## Debian packages of the programs, the SDK and the package for Python, in build/packages
+	@$(MAKE) --no-print-directory setup PACKAGES="dpkg-dev file"
+	@cpack --config $(BUILD)/CPackConfig.cmake >$(BUILD)/cpack.log || { tail -20 $(BUILD)/cpack.log; exit 1; }
+	@ls $(BUILD)/packages/*.deb
 
 demo: programs ## simulate and enhance the falling tablecloth; pictures in out/demo/report.html
 	@echo "demo: deploy/scenes/draping.json with the shipped model"

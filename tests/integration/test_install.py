@@ -1,6 +1,10 @@
 #!/usr/bin/env python3
-"""test_install.py SOURCE BUILD: what is installed into an empty prefix works from another folder, without the source tree:
-the programs, a C++ program by find_package and by pkg-config, and a Python program."""
+"""test_install.py SOURCE BUILD PREFIX: what is installed into an empty prefix works outside of the source tree: the
+programs, a C++ program by find_package and by pkg-config, a Python program, the manual, completions.
+
+PREFIX is emptied first, and stays for the tests that use it."""
+import gzip
+import json
 import os
 import pathlib
 import re
@@ -22,80 +26,106 @@ f 2/2 3/3 4/4
 """
 
 
-def check_clients(source, prefix, home, environment):
-    """A program in C++ and one in Python, both against one `pleat up`."""
+class Place:
+    """A home folder and an environment that know nothing of the source tree."""
 
-    def run(*words, **more):
-        done = subprocess.run([str(word) for word in words], cwd=home, env=environment | more, capture_output=True,
-                              text=True, timeout=200)
-        assert done.returncode == 0, f"{words}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
-        return done.stdout
+    def __init__(self, folder, prefix):
+        self.home, self.prefix = folder / "home", prefix
+        self.home.mkdir()
+        self.environment = {"PATH": f"{prefix}/bin:/usr/bin:/bin", "HOME": str(self.home), "LANG": "C.UTF-8"}
+        if "XDG_RUNTIME_DIR" in os.environ:
+            self.environment["XDG_RUNTIME_DIR"] = os.environ["XDG_RUNTIME_DIR"]
 
-    program = home / "consumer"
+    def run(self, *words, code=0, **more):
+        done = subprocess.run([str(word) for word in words], cwd=self.home, env=self.environment | more,
+                              capture_output=True, text=True, timeout=200)
+        assert done.returncode == code, f"{words}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done
+
+
+def check_programs(place, source, share):
+    (place.home / "cloth.obj").write_text(GARMENT)
+    version = re.search(r"^project\(pleat VERSION (\S+)", (source / "CMakeLists.txt").read_text(), re.M)[1]
+    programs = sorted(path.name for path in (place.prefix / "bin").iterdir())
+    assert {"pleat", "pleat-fold", "pleat-coordinator", "pleat-train", "pleat-generate"} <= set(programs), programs
+    for program in programs:
+        assert place.run(program, "--version").stdout.startswith(f"{program} {version}"), program
+        page = gzip.decompress((share / f"man/man1/{program}.1.gz").read_bytes()).decode()
+        assert page.startswith(f".TH {program.upper()} 1"), page[:80]
+    assert place.run("pleat", "check", share / "pleat/garments/skirt.obj", "cloth.obj").stdout.count("islands") == 2
+    # The shipped fabric, cloth and bundle, none of them named.
+    place.run("pleat", "dataset", "generate", "set", "--garment", "cloth.obj", "--set", "hitting", "--train", 1, "--test", 0,
+              "--frames", 3, "--workers", 1)
+    info = json.loads(place.run("pleat", "dataset", "info", "set", "--json").stdout)
+    assert info["splits"] == {"train": {"sequences": 1, "frames": 3}}, info
+    # A shipped scene by its name. Quiet, and figures for programs.
+    done = place.run("pleat", "run", "draping", "--frames", 3, "--out", "result", "--json", "-q")
+    assert done.stderr == "", done.stderr
+    report = json.loads(done.stdout)
+    assert (report["frames"], report["self_intersections"], report["penetrations"]) == (3, 0, 0), report
+    assert (place.home / "result/report.html").stat().st_size > 100_000
+    place.run("pleat", "export", "result/result.h5", "--format", "glb")
+    assert (place.home / "result/glb/enhanced.glb").read_bytes()[:4] == b"glTF"
+    assert "did you mean export?" in place.run("pleat", "exprot", code=2).stderr
+    assert place.run("pleat", "help", "dataset", "info").stdout == place.run("pleat", "dataset", "info", "--help").stdout
+
+
+def check_completions(place, share):
+    line = (f"source '{share}/bash-completion/completions/pleat'; COMP_WORDS=(pleat run --det); COMP_CWORD=2; _pleat; "
+            'echo "${COMPREPLY[*]}"; COMP_WORDS=(pleat export x --format ""); COMP_CWORD=4; _pleat; '
+            'echo "${COMPREPLY[*]}"')
+    words = place.run("bash", "-c", line).stdout.splitlines()
+    assert words[0] == "--detail" and "pc2" in words[1].split(), words
+    for shell, script in (("zsh", "zsh/site-functions/_pleat"), ("fish", "fish/vendor_completions.d/pleat.fish")):
+        assert (share / script).is_file()
+        if shutil.which(shell):
+            place.run(shell, "-n", share / script)
+
+
+def check_clients(place, source, prefix):
+    """Both against one `pleat up`."""
+    program = place.home / "consumer"
     program.mkdir()
-    for name in ("tests/integration/consumer/CMakeLists.txt", "common/client/cpp/example/enhance.cpp",
-                 "common/client/python/example/enhance_and_plot.py"):
-        shutil.copy(source / name, program)
-    # No flag of ours: the library keeps its own apart.
-    run("cmake", "-S", program, "-B", program / "build", f"-DCMAKE_PREFIX_PATH={prefix}")
-    run("cmake", "--build", program / "build")
+    shutil.copy(source / "tests/integration/consumer/CMakeLists.txt", program)
+    shutil.copy(source / "common/client/cpp/example/enhance.cpp", program)
+    shutil.copy(source / "common/client/python/example/enhance_and_plot.py", program)
+    place.run("cmake", "-S", program, "-B", program / "build", f"-DCMAKE_PREFIX_PATH={prefix}", CXXFLAGS="")
+    place.run("cmake", "--build", program / "build")
     config = next(prefix.rglob("pleat.pc"))
-    flags = run("pkg-config", "--cflags", "--libs", "pleat", PKG_CONFIG_PATH=str(config.parent)).split()
-    include = next(flag[2:] for flag in flags if flag.startswith("-I") and str(prefix) in flag)
-    assert (pathlib.Path(include) / "pleat/client.hpp").is_file() and "-lpleat-client" in flags, flags
-    headers = list((prefix / "include").rglob("*.h*"))
+    flags = place.run("pkg-config", "--cflags", "--libs", "pleat", PKG_CONFIG_PATH=config.parent).stdout
+    assert f"-I{config.parent}" in flags and "-lpleat-client" in flags, flags
+    headers = [path for path in (prefix / "include").rglob("*.h*")]
     assert headers and not any(re.search(r"#\s*include\s*<Eigen", path.read_text()) for path in headers)
-
     garment = prefix / "share/pleat/garments/tablecloth.obj"
-    up = subprocess.Popen(["pleat", "up", "--data", home / "services"], cwd=home, env=environment, stdout=subprocess.PIPE,
-                          text=True)
+    packages = next(prefix.rglob("dist-packages"))
+    up = subprocess.Popen(["pleat", "up"], cwd=place.home, env=place.environment, stdout=subprocess.PIPE, text=True)
     try:
         address = next((line.split()[1] for line in up.stdout if line.startswith("ready ")), None)
         assert address, f"`pleat up` ended before it was ready, exit code {up.wait()}"
-        said = run(program / "build/enhance", address, garment, 4, "fine.obj")
+        said = place.run(program / "build/enhance", address, garment, 4, "fine.obj").stdout
         assert "749 -> 11393 vertices" in said and said.count(" 0 self-intersections") == 4, said
-        packages = next(prefix.rglob("dist-packages"))
-        said = run("/usr/bin/python3", program / "enhance_and_plot.py", garment, PYTHONPATH=str(packages),
-                   PLEAT_COORDINATOR=address)
+        said = place.run("/usr/bin/python3", program / "enhance_and_plot.py", garment, PYTHONPATH=str(packages),
+                         PLEAT_COORDINATOR=address).stdout
         assert "749 -> 11393 vertices" in said, said
     finally:
         up.terminate()
         up.wait()
+    # Not told where, it kept its files where a user's programs keep theirs.
+    assert (place.home / ".local/state/pleat/services/logs/coordinator.log").is_file()
 
 
 def main():
-    source, build = (pathlib.Path(argument).resolve() for argument in sys.argv[1:3])
-    with tempfile.TemporaryDirectory() as name:
-        folder = pathlib.Path(name)
-        prefix = folder / "usr"
-        subprocess.run(["cmake", "--install", build, "--prefix", prefix], check=True, stdout=subprocess.DEVNULL)
-        home = folder / "home"
-        home.mkdir()
-        (home / "cloth.obj").write_text(GARMENT)
-        environment = {"PATH": f"{prefix}/bin:/usr/bin:/bin", "HOME": str(home), "LANG": "C"}
-        if "XDG_RUNTIME_DIR" in os.environ:
-            environment["XDG_RUNTIME_DIR"] = os.environ["XDG_RUNTIME_DIR"]
-
-        def pleat(*words):
-            done = subprocess.run(["pleat", *map(str, words)], cwd=home, env=environment, capture_output=True, text=True,
-                                  timeout=200)
-            assert done.returncode == 0, f"pleat {' '.join(map(str, words))}: {done.returncode}\n{done.stderr}"
-            return done.stdout
-
-        share = prefix / "share" / "pleat"
-        assert pleat("check", share / "garments" / "skirt.obj", "cloth.obj").count("islands") == 2
-        # The shipped fabric, cloth and bundle, none of them named.
-        pleat("dataset", "generate", "set", "--garment", "cloth.obj", "--set", "hitting", "--train", 1, "--test", 0,
-              "--frames", 3, "--workers", 1)
-        assert "3 frames" in pleat("dataset", "info", "set")
-        pleat("run", share / "scenes" / "draping.json", "--frames", 3, "--out", "result")
-        assert (home / "result" / "report.html").stat().st_size > 100_000
-        pleat("export", "result/result.h5", "--format", "glb")
-        assert (home / "result" / "glb" / "enhanced.glb").read_bytes()[:4] == b"glTF"
-        check_clients(source, prefix, home, environment)
-        outside = [path for path in folder.rglob("*") if path.suffix in (".h5", ".partial") and home not in path.parents]
-        assert not outside, outside
-    print("installed programs and clients work")
+    source, build, prefix = (pathlib.Path(argument).resolve() for argument in sys.argv[1:4])
+    shutil.rmtree(prefix, ignore_errors=True)
+    subprocess.run(["cmake", "--install", build, "--prefix", prefix], check=True, stdout=subprocess.DEVNULL)
+    with tempfile.TemporaryDirectory() as folder:
+        place = Place(pathlib.Path(folder), prefix)
+        check_programs(place, source, prefix / "share")
+        check_completions(place, prefix / "share")
+        check_clients(place, source, prefix)
+    made = [path for path in prefix.rglob("*") if path.suffix in (".partial", ".log") or path.name == "result.h5"]
+    assert not made, made
+    print("installed programs, clients and manuals work")
 
 
 main()
