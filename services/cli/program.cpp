@@ -1,4 +1,7 @@
+#include <algorithm>
+
 #include "common/base/machine.hpp"
+#include "common/base/manual.hpp"
 #include "common/base/signals.hpp"
 #include "common/base/terminal.hpp"
 #include "common/frame/detail.hpp"
@@ -18,14 +21,21 @@ constexpr const char* kFooter =
     "`pleat help COMMAND` lists a command's options.\n"
     "Exit codes: 0 done, 1 failed, 2 wrong usage or input, 3 done, but not free of intersections.";
 
-/// `pleat help dataset generate` is `pleat dataset generate --help`.
-std::vector<const char*> with_help(int argc, const char* const* argv) {
+/// `pleat help dataset generate` is `pleat dataset generate --help`; an unknown command stays alone, to be refused.
+std::vector<const char*> with_help(const CLI::App& root, int argc, const char* const* argv) {
   std::vector<const char*> words(argv, argv + argc);
-  if (words.size() > 1 && std::string_view(words[1]) == "help") {
-    words.erase(words.begin() + 1);
-    words.push_back("--help");
+  if (words.size() < 2 || std::string_view(words[1]) != "help") return words;
+  std::vector<const char*> asked{words[0]};
+  std::vector<const CLI::App*> commands = visible_commands(root);
+  for (std::size_t i = 2; i < words.size() && !commands.empty(); ++i) {
+    asked.push_back(words[i]);
+    const auto found = std::find_if(commands.begin(), commands.end(),
+                                    [&](const CLI::App* command) { return command->get_name() == words[i]; });
+    if (found == commands.end()) return asked;
+    commands = visible_commands(**found);
   }
-  return words;
+  asked.push_back("--help");
+  return asked;
 }
 
 void add_verbosity(CLI::App& app, bool& quiet, bool& verbose) {
@@ -61,14 +71,14 @@ int run_pleat(int argc, const char* const* argv) {
   root.set_version_flag("--version", "pleat " + version() + " (" + git_revision() + ")", "print the version");
   root.require_subcommand(0, 1);
   std::vector<Command> commands;
-  for (const auto add :
-       {add_up, add_run, add_enhance, add_check, add_export, add_body, add_dataset, add_eval, add_bench, add_bridge, add_health})
+  for (const auto add : {add_up, add_run, add_enhance, add_check, add_export, add_body, add_dataset, add_eval,
+                         add_bench, add_bridge, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
   root.footer(kFooter);
   bool quiet = false, verbose = false;
   add_verbosity(root, quiet, verbose);
   for (const Command& command : commands) add_verbosity(*command.app, quiet, verbose);
-  const std::vector<const char*> words = with_help(argc, argv);
+  const std::vector<const char*> words = with_help(root, argc, argv);
   return run_program(root, static_cast<int>(words.size()), words.data(), [&] {
     if (quiet || verbose) set_verbosity(quiet ? Verbosity::kQuiet : Verbosity::kVerbose);
     for (const Command& command : commands)

@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
-"""test_install.py SOURCE BUILD PREFIX: what is installed into an empty prefix works outside of the source tree: the
-programs, a C++ program by find_package and by pkg-config, a Python program, the manual, completions.
-
-PREFIX is emptied first, and stays for the tests that use it."""
+"""test_install.py SOURCE BUILD: what is installed into an empty prefix works outside of the source tree: the programs, a
+C++ program by find_package and by pkg-config, a Python program, the manual, completions, and where Blender is installed
+its add-on."""
 import gzip
 import json
 import os
@@ -114,17 +113,27 @@ def check_clients(place, source, prefix):
     assert (place.home / ".local/state/pleat/services/logs/coordinator.log").is_file()
 
 
+def check_addon(place, source, prefix):
+    script = source / "tests/integration/test_blender_addon.py"
+    done = subprocess.run(["/usr/bin/python3", script, prefix / "share/pleat/blender", prefix / "bin/pleat"],
+                          cwd=place.home, capture_output=True, text=True, timeout=900)
+    assert done.returncode in (0, 77), done.stdout + done.stderr
+    print("add-on for Blender: " + done.stdout.strip())
+
+
 def main():
-    source, build, prefix = (pathlib.Path(argument).resolve() for argument in sys.argv[1:4])
-    shutil.rmtree(prefix, ignore_errors=True)
-    subprocess.run(["cmake", "--install", build, "--prefix", prefix], check=True, stdout=subprocess.DEVNULL)
-    with tempfile.TemporaryDirectory() as folder:
-        place = Place(pathlib.Path(folder), prefix)
+    source, build = (pathlib.Path(argument).resolve() for argument in sys.argv[1:3])
+    with tempfile.TemporaryDirectory() as name:
+        folder = pathlib.Path(name)
+        prefix = folder / "usr"
+        subprocess.run(["cmake", "--install", build, "--prefix", prefix], check=True, stdout=subprocess.DEVNULL)
+        place = Place(folder, prefix)
         check_programs(place, source, prefix / "share")
         check_completions(place, prefix / "share")
         check_clients(place, source, prefix)
-    made = [path for path in prefix.rglob("*") if path.suffix in (".partial", ".log") or path.name == "result.h5"]
-    assert not made, made
+        check_addon(place, source, prefix)
+        made = [path for path in prefix.rglob("*") if path.suffix in (".partial", ".log") or path.name == "result.h5"]
+        assert not made, made
     print("installed programs, clients and manuals work")
 
 

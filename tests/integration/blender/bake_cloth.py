@@ -27,7 +27,7 @@ def make_scene():
     scene.frame_start, scene.frame_end = 1, FRAMES
     scene.render.fps = 25
     bpy.ops.mesh.primitive_uv_sphere_add(radius=RADIUS, location=(0, 0, 0))
-    ball = bpy.context.object
+    ball = bpy.context.view_layer.objects.active
     ball.name = "Ball"
     ball.modifiers.new("Collision", "COLLISION")
     # A moving obstacle: it rises into the cloth.
@@ -35,7 +35,7 @@ def make_scene():
         ball.location.z = height
         ball.keyframe_insert("location", frame=frame)
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=CELLS, y_subdivisions=CELLS, size=1.2, location=(0, 0, 0.45))
-    cloth = bpy.context.object
+    cloth = bpy.context.view_layer.objects.active
     cloth.name = "Cloth"
     # The map of a grid covers the unit square: it says nothing of metres.
     cloth.data.uv_layers[0].name = "Print"

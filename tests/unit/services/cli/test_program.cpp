@@ -88,6 +88,9 @@ const Case kCases[] = {
      2,
      "none.json"},
     {"unknown_command", {"fold"}, 2, "fold"},
+    {"mistyped_command", {"exprot"}, 2, "did you mean export?"},
+    {"help_of_a_mistyped_command", {"help", "dataset", "generte"}, 2, "did you mean generate?"},
+    {"quiet_and_verbose", {"check", "@/cloth.obj", "-q", "-v"}, 2, "--verbose excludes --quiet"},
     {"unknown_option", {"run", "x", "--out", "y", "--speed", "9"}, 2, "--speed"},
     {"run_no_scene", {"run", "--out", "@/out"}, 2, "scene"},
     {"run_no_out", {"run", "@/scene.json"}, 2, "--out"},
@@ -236,8 +239,8 @@ INSTANTIATE_TEST_SUITE_P(Commands, BadInput, testing::ValuesIn(kCases),
 
 TEST(GoodUsage, HelpAndVersionGoToStandardOutput) {
   const pleat::test::TemporaryFolder temporary;
-  for (const std::vector<std::string>& arguments :
-       std::vector<std::vector<std::string>>{{"--help"}, {"--version"}, {"run", "--help"}, {"dataset", "--help"}}) {
+  for (const std::vector<std::string>& arguments : std::vector<std::vector<std::string>>{
+           {"--help"}, {"--version"}, {"run", "--help"}, {"dataset", "--help"}, {"help", "dataset", "info"}}) {
     const Outcome outcome = run(built("pleat"), arguments, temporary.path() / "usage");
     EXPECT_EQ(outcome.exit_code, 0);
     EXPECT_FALSE(outcome.out.empty());
