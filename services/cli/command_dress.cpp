@@ -1,6 +1,7 @@
 // `pleat dress`: garments of about the right place onto a body.
 #include <cstdio>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "common/base/process.hpp"
 #include "common/base/progress.hpp"
@@ -26,6 +27,7 @@ struct Options {
   double start_s = 0, scale = 1;
   dress::DressOptions dress;
   std::string material, out, body_out;
+  bool json = false;
 };
 
 /// Where each garment goes: FILE.obj for one, a folder's NAME.obj for several.
@@ -74,20 +76,27 @@ int run_dress(Options options) {
   });
   bar.finish();
   notes.insert(notes.end(), dressed.notes.begin(), dressed.notes.end());
-  for (const std::string& note : notes) std::printf("note: %s\n", note.c_str());
+  nlohmann::json report = {{"notes", notes}, {"garments", nlohmann::json::array()}};
+  if (!options.json) {
+    for (const std::string& note : notes) std::printf("note: %s\n", note.c_str());
+  }
   for (std::size_t g = 0; g < garments.size(); ++g) {
     if (paths[g].has_parent_path()) fs::create_directories(paths[g].parent_path());
     garments[g].mesh.rest_positions = dressed.garments[g];
     write_obj(paths[g], garments[g].mesh);
-    std::printf("%s: worn, clean; 98 %% of its edges are stretched by %.1f %% at most\n", paths[g].c_str(),
-                100 * (dressed.stretch[g] - 1));
+    report["garments"].push_back({{"file", paths[g].string()}, {"stretch", dressed.stretch[g]}});
+    if (!options.json)
+      std::printf("%s: worn, clean; 98 %% of its edges are stretched by %.1f %% at most\n", paths[g].c_str(),
+                  100 * (dressed.stretch[g] - 1));
   }
   if (!options.body_out.empty()) {
     Topology mesh = body.mesh().mesh;
     if (posed) mesh.rest_positions = options.dress.then.back();
     write_obj(options.body_out, mesh);
-    std::printf("%s\n", options.body_out.c_str());
+    report["body"] = options.body_out;
+    if (!options.json) std::printf("%s\n", options.body_out.c_str());
   }
+  if (options.json) std::printf("%s\n", report.dump(2).c_str());
   return kExitDone;
 }
 
@@ -117,6 +126,7 @@ std::vector<Command> add_dress(CLI::App& root) {
   app->add_option("--threads", options->dress.threads, "0: the processors this process may use")
       ->capture_default_str()
       ->check(CLI::Range(0, 1024));
+  add_json_option(*app, options->json, "print one JSON object: notes, garments (file, stretch), body");
   return {{app, [options] { return run_dress(*options); }}};
 }
 
