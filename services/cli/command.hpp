@@ -20,6 +20,7 @@ struct Command {
 std::vector<Command> add_up(CLI::App& root);
 std::vector<Command> add_health(CLI::App& root);
 std::vector<Command> add_run(CLI::App& root);
+std::vector<Command> add_simulate(CLI::App& root);
 std::vector<Command> add_enhance(CLI::App& root);
 std::vector<Command> add_dataset(CLI::App& root);
 std::vector<Command> add_bridge(CLI::App& root);
@@ -36,7 +37,7 @@ void add_tls_options(CLI::App& app, rpc::TlsOptions& tls);
 /// --json; `what`: the form of what is printed.
 void add_json_option(CLI::App& app, bool& json, const std::string& what);
 
-/// --detail network|fold|both; empty: what the coordinator takes where nobody says it.
+/// --detail network|fold|both|none; empty: what the coordinator takes where nobody says it.
 void add_detail_option(CLI::App& app, std::string& detail);
 
 /// The whole program: parses, runs, turns every exception into one line and an exit code.

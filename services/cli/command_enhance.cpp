@@ -59,7 +59,7 @@ class StandIn {
   std::optional<Subdivision> subdivision_;
 };
 
-int enhance(const EnhanceOptions& options) {
+int enhance(EnhanceOptions options) {
   const v1::Detail detail = choose_detail(options.detail, options.model);
   std::vector<std::string> notes;
   const Topology rest = read_garment(options.rest, notes, options.scale);
@@ -184,15 +184,18 @@ int enhance(const EnhanceOptions& options) {
 std::vector<Command> add_enhance(CLI::App& root) {
   CLI::App* app = root.add_subcommand("enhance", "enhance coarse frames made elsewhere; leaves result.h5 and a report");
   const auto options = std::make_shared<EnhanceOptions>();
-  app->add_option("--rest", options->rest, "the coarse garment at rest, OBJ or PLY with material coordinates (vt)")
+  app->add_option("--rest", options->rest,
+                  "the coarse garment at rest, OBJ, PLY, glTF or USD text with material coordinates (vt)")
       ->required();
   app->add_option("--frames", options->frames,
-                  "coarse frames: folder, 'glob*.obj', cloth_%04d.obj, FILE.pc2, .mdd, .npy, .h5:/array, result.h5, "
+                  "coarse frames: folder, 'glob*.obj', cloth_%04d.obj, FILE.pc2, .mdd, .npy, .h5:/array, .glb, .usda, "
+                  "result.h5, "
                   "DATASET/sequences/NAME.h5")
       ->required();
   app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
-  app->add_option("--model", options->model,
-                  "model bundle: a file, or a name in deploy/models (default: the service's)");
+  app->add_option(
+      "--model", options->model,
+      "model bundle: a file, or a name in deploy/models, or none: smooth upsampling (default: the service's)");
   add_detail_option(*app, options->detail);
   app->add_option("--material", options->material,
                   "what the cloth is made of, for the fold step: a material file, or the name of a shipped one "

@@ -1,4 +1,5 @@
-// `pleat run`: simulate a scene and enhance it, with services of our own or a coordinator that is there.
+// `pleat run`: simulate a scene and enhance it, with services of our own or a coordinator that is there. `pleat
+// simulate`: the simulation alone.
 #include <chrono>
 #include <cstdio>
 #include <numeric>
@@ -28,6 +29,7 @@ constexpr std::chrono::seconds kCancelPatience{20};
 
 struct RunOptions {
   std::string scene, out, model, detail, coordinator;
+  std::string mode;  ///< coarse, tracked or free: only simulate; empty: enhance
   std::uint32_t frames = 0;
   bool reference = false;
   bool untangle = false;
@@ -75,7 +77,8 @@ class Run {
   explicit Run(const RunOptions& options) : options_(options), out_(options.out) {}
 
   int operator()() {
-    const v1::Detail detail = choose_detail(options_.detail, options_.model);
+    const v1::Detail detail =
+        options_.mode.empty() ? choose_detail(options_.detail, options_.model) : detail_named(options_.mode);
     std::vector<std::string> notes;
     v1::Scene scene =
         presentation::read_scene_file(shipped_or(options_.scene, "scenes"), {options_.frames, options_.scale, &notes});
@@ -107,7 +110,7 @@ class Run {
     request.set_frames(options_.frames);
     request.set_reference(options_.reference);
     // Without the option another coordinator takes its own default.
-    request.set_detail(local ? detail : detail_named(options_.detail));
+    request.set_detail(local || is_simulated(detail) ? detail : detail_named(options_.detail));
     const std::uint32_t frames = options_.frames > 0 ? options_.frames : scene.frames();
     const double frame_time = scene.frame_time_s() > 0 ? scene.frame_time_s() : kDefaultFrameTime;
     RemoteFrames remote({out_ / "result.h5", {}, frames, frame_time, model.name, scene_json(scene), {}, detail});
@@ -225,32 +228,51 @@ class Run {
   std::optional<client::Client> client_;
 };
 
+/// What `run` and `simulate` have in common.
+void add_scene_options(CLI::App& app, RunOptions& options) {
+  app.add_option("scene", options.scene, "scene file, or the name of a shipped one: draping, curtain, dancer")
+      ->required();
+  app.add_option("--out", options.out, "folder for result.h5, report.json, report.html and logs")->required();
+  app.add_option("--frames", options.frames, "frames to make (default: the scene's)")->check(positive_number());
+  app.add_option("--coordinator", options.coordinator,
+                 "address of a running coordinator (default: start all services for this run)");
+  app.add_flag("--untangle", options.untangle,
+               "relax a start with self-intersections or penetrations until it is clean, instead of refusing it");
+  app.add_option("--scale", options.scale, "metres per unit of the garment's file: 0.01 for centimetres")
+      ->capture_default_str()
+      ->check(positive_number());
+  app.add_option("--timeout", options.timeout_s, "seconds to wait for the coordinator")
+      ->capture_default_str()
+      ->check(positive_number());
+  add_json_option(app, options.json, "print report.json instead of a summary");
+  add_tls_options(app, options.tls);
+}
+
 }  // namespace
 
 std::vector<Command> add_run(CLI::App& root) {
   CLI::App* app = root.add_subcommand("run", "simulate a scene and enhance it; leaves result.h5 and a report");
   const auto options = std::make_shared<RunOptions>();
-  app->add_option("scene", options->scene, "scene file, or the name of a shipped one: draping, curtain, dancer")
-      ->required();
-  app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
-  app->add_option("--frames", options->frames, "frames to make (default: the scene's)")->check(positive_number());
-  app->add_option("--model", options->model,
-                  "model bundle: a file, or a name in deploy/models (default: the service's)");
+  add_scene_options(*app, *options);
+  app->add_option(
+      "--model", options->model,
+      "model bundle: a file, or a name in deploy/models, or none: smooth upsampling (default: the service's)");
   add_detail_option(*app, options->detail);
-  app->add_option("--coordinator", options->coordinator,
-                  "address of a running coordinator (default: start all services for this run)");
   app->add_flag("--reference,!--no-reference", options->reference,
                 "also simulate the tracked fine cloth, for comparison; the time of the run excludes it");
-  app->add_flag("--untangle", options->untangle,
-                "relax a start with self-intersections or penetrations until it is clean, instead of refusing it");
-  app->add_option("--scale", options->scale, "metres per unit of the garment's file: 0.01 for centimetres")
+  return {{app, [options] { return Run(*options)(); }}};
+}
+
+std::vector<Command> add_simulate(CLI::App& root) {
+  CLI::App* app =
+      root.add_subcommand("simulate", "simulate a scene alone; leaves result.h5 and a report as `run` does");
+  const auto options = std::make_shared<RunOptions>();
+  add_scene_options(*app, *options);
+  options->mode = "coarse";
+  app->add_option("--mode", options->mode,
+                  "coarse, or with a fine cloth that tracks the coarse one as data sets have it, or is free of it")
       ->capture_default_str()
-      ->check(positive_number());
-  app->add_option("--timeout", options->timeout_s, "seconds to wait for the coordinator")
-      ->capture_default_str()
-      ->check(positive_number());
-  add_json_option(*app, options->json, "print report.json instead of a summary");
-  add_tls_options(*app, options->tls);
+      ->check(CLI::IsMember({"coarse", "tracked", "free"}));
   return {{app, [options] { return Run(*options)(); }}};
 }
 

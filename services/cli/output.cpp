@@ -93,7 +93,12 @@ int write_reports(const fs::path& folder, presentation::ReportSummary summary, b
   return kExitNotClean;
 }
 
-v1::Detail choose_detail(const std::string& text, const std::string& model) {
+v1::Detail choose_detail(std::string& text, std::string& model) {
+  if (model == "none") {
+    if (!text.empty() && text != "none") throw_invalid_argument("--model none: --detail " + text + " is not none");
+    text = model;
+    model.clear();
+  }
   const v1::Detail detail = checked_detail(detail_named(text), model, "--detail");
   if (!uses_network(detail) && !model.empty())
     throw_invalid_argument("--model " + model + ": --detail " + std::string(name_of(detail)) + " uses no bundle");

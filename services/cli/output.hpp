@@ -31,8 +31,9 @@ struct ModelChoice {
   std::string name;
   std::filesystem::path folder;  ///< empty: the default folder
 };
-/// What --detail says, checked. Throws kInvalidArgument if a bundle is named and none is used.
-v1::Detail choose_detail(const std::string& text, const std::string& model);
+/// What --detail says, checked; `--model none` is `--detail none`, and leaves `model` empty. Throws kInvalidArgument if
+/// a bundle is named and none is used.
+v1::Detail choose_detail(std::string& text, std::string& model);
 /// Throws kNotFound if the bundle (or, with an empty text, any bundle) is not there; the file is named.
 ModelChoice choose_model(const std::string& text);
 

@@ -60,9 +60,9 @@ void add_json_option(CLI::App& app, bool& json, const std::string& what) { app.a
 void add_detail_option(CLI::App& app, std::string& detail) {
   app.add_option(
          "--detail", detail,
-         "what makes the wrinkles: a network, the fold step (no bundle), or both (default: network with --model, "
-         "else fold)")
-      ->check(CLI::IsMember({"network", "fold", "both"}));
+         "what makes the wrinkles: a network, the fold step (no bundle), both, or none: smooth upsampling alone "
+         "(default: network with --model, else fold)")
+      ->check(CLI::IsMember({"network", "fold", "both", "none"}));
 }
 
 int run_pleat(int argc, const char* const* argv) {
@@ -71,8 +71,8 @@ int run_pleat(int argc, const char* const* argv) {
   root.set_version_flag("--version", "pleat " + version() + " (" + git_revision() + ")", "print the version");
   root.require_subcommand(0, 1);
   std::vector<Command> commands;
-  for (const auto add : {add_up, add_run, add_enhance, add_check, add_export, add_body, add_dress, add_dataset,
-                         add_eval, add_bench, add_bridge, add_health})
+  for (const auto add : {add_up, add_run, add_simulate, add_enhance, add_check, add_export, add_body, add_dress,
+                         add_dataset, add_eval, add_bench, add_bridge, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
   root.footer(kFooter);
   bool quiet = false, verbose = false;

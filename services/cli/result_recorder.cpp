@@ -11,10 +11,13 @@ namespace {
 
 /// Parts of a stage ("simulation.contact") are in their stage already.
 std::vector<std::string> stages_of(const client::EnhancedFrame& frame, v1::Detail detail) {
+  const std::vector<std::string> known = stage_names(detail);
   std::vector<std::string> stages;
-  for (const client::StageTime& time : frame.stage_times)
-    if (time.stage.find('.') == std::string::npos) stages.push_back(time.stage);
-  return stages.empty() ? stage_names(detail) : stages;
+  for (const client::StageTime& time : frame.stage_times) {
+    const bool is_part = time.stage.find('.') != std::string::npos;
+    if (!is_part || std::find(known.begin(), known.end(), time.stage) != known.end()) stages.push_back(time.stage);
+  }
+  return stages.empty() ? known : stages;
 }
 
 }  // namespace

@@ -43,6 +43,12 @@ std::vector<Eigen::Index> obstacle_vertices(const v1::Scene& scene,
   return counts;
 }
 
+/// What the simulation makes beside the coarse cloth.
+v1::SimulateOpen::Fine simulated_fine(v1::Detail detail) {
+  if (detail == v1::DETAIL_TRACKED) return v1::SimulateOpen::FINE_TRACKED;
+  return detail == v1::DETAIL_FREE ? v1::SimulateOpen::FINE_FREE : v1::SimulateOpen::FINE_NONE;
+}
+
 /// The frames before `first` from which the network's window is filled, from the file that has them.
 std::vector<v1::Frame> earlier_frames(const fs::path& partial, std::uint64_t first,
                                       const v1::Representation& representation, double frame_time_s) {
@@ -159,18 +165,14 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   session.model = network ? describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
                                            [&] { return job.cause().has_value(); })
                           : without_model();
-  if (network) session.representation = session.model.representation();
   if (fold) session.fold = fold_open_of(scene);
   session.fold_turn = table_.get(job.id).order;
-  if (scene.has_subdivision_rounds()) session.representation.set_subdivision_rounds(scene.subdivision_rounds());
-  // A scene cannot ask for the middle where a bundle has Loop's rule: that is what it says when it says nothing.
-  if (scene.subdivision_rule() != v1::SUBDIVISION_RULE_MIDPOINT) {
-    session.representation.set_subdivision_rule(scene.subdivision_rule());
-  }
+  session.representation = representation_of(scene, session.detail, session.model);
 
   SimulationSource::Options simulation{.addresses = addresses_.simulation,
                                        .scene = scene,
                                        .animations = animations,
+                                       .fine = simulated_fine(session.detail),
                                        .window = settings_.window,
                                        .checkpoint_interval = settings_.checkpoint_interval,
                                        .checkpoint = {},
@@ -189,6 +191,13 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
     session.conversion = describe_conversion(addresses_, link_, session, [&] { return job.cause().has_value(); });
   });
   const auto fine_vertices = static_cast<std::size_t>(subdivision.fine.vertex_count());
+  if (started.opened.has_fine()) {
+    check_fine_hash(topology_hash(from_message(started.opened.fine(), "the simulation's fine mesh")),
+                    topology_hash(subdivision.fine));
+  }
+  if (session.detail == v1::DETAIL_NONE) {
+    session.upsampling = std::make_shared<const SmoothUpsampling>(coarse, subdivision);
+  }
 
   ResultOptions options;
   options.topology = {coarse, subdivision.fine, subdivision.feature_vertices};
@@ -290,6 +299,8 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
           auto frame = std::make_unique<PipelineFrame>();
           frame->sequence = frame->index = index;
           frame->coarse.Swap(simulated.mutable_coarse());
+          frame->fine.Swap(simulated.mutable_fine());
+          if (session.detail == v1::DETAIL_COARSE) *frame->fine.mutable_positions() = frame->coarse.positions();
           frame->obstacles.Swap(simulated.mutable_obstacles());
           frame->stage_times.Swap(simulated.mutable_stage_times());
           if (simulated.has_pinch()) frame->pinch = simulated.pinch();

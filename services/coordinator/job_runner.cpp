@@ -91,6 +91,10 @@ JobRecord JobRunner::create(v1::CreateJobRequest request) {
   if (scene.frames() == 0) throw_invalid_argument("scene.frames: is 0");
   // The job stays what it is, whatever the default becomes.
   request.set_detail(checked_detail(request.detail(), request.model(), "detail"));
+  if (request.reference() && is_simulated(request.detail())) {
+    throw_invalid_argument("reference: the fine cloth of a job of detail '" + std::string(name_of(request.detail())) +
+                           "' is simulated itself");
+  }
   if (scene.frames() > settings_.max_frames) {
     throw Error(ErrorCode::kResourceExhausted, "scene.frames: " + std::to_string(scene.frames()) + ", the limit is " +
                                                    std::to_string(settings_.max_frames));
@@ -115,8 +119,7 @@ JobRecord JobRunner::create(v1::CreateJobRequest request) {
                              .checkpoint = {},
                              .link = link_});
     const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
-    v1::Representation representation = model.representation();
-    if (scene.has_subdivision_rounds()) representation.set_subdivision_rounds(scene.subdivision_rounds());
+    const v1::Representation representation = representation_of(scene, request.detail(), model);
     admit(coarse.vertex_count(), subdivision_from(representation).rounds, settings_.max_vertices,
           "scene '" + scene.name() + "'");
     if (!model.topology_hash().empty() && model.topology_hash() != topology_hash(coarse)) {

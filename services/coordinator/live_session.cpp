@@ -110,6 +110,9 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     session.coarse = open.coarse();
     session.coarse.set_hash(topology_hash(coarse));
     session.detail = checked_detail(open.detail(), open.model(), "open.detail");
+    if (is_simulated(session.detail)) {
+      throw_invalid_argument("open.detail: '" + std::string(name_of(session.detail)) + "' is for jobs");
+    }
     if (uses_network(session.detail)) {
       session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
       session.representation = session.model.representation();
@@ -131,6 +134,9 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
       session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
     });
 
+    if (session.detail == v1::DETAIL_NONE) {
+      session.upsampling = std::make_shared<const SmoothUpsampling>(coarse, subdivision);
+    }
     EnhancementPipeline pipeline(
         owner_.addresses_, owner_.link_, session, static_cast<std::size_t>(subdivision.fine.vertex_count()),
         topology_hash(subdivision.fine), [this](std::unique_ptr<PipelineFrame> frame) { answer(*frame); },

@@ -5,6 +5,7 @@
 
 #include "common/frame/representation_messages.hpp"
 #include "common/mesh/mesh.hpp"
+#include "common/telemetry/stage_timer.hpp"
 #include "pleat/v1/conversion.grpc.pb.h"
 #include "pleat/v1/refinement.grpc.pb.h"
 #include "pleat/v1/superres.grpc.pb.h"
@@ -183,7 +184,19 @@ RemoteStage<RefineRpc>::Options refine_options(const ServiceAddresses& addresses
   RemoteStage<RefineRpc>::Options options{
       .stage = "refinement", .service = "refinement", .addresses = addresses.refinement, .open = {}, .link = link};
   set_meshes(session, options.open.mutable_open());
+  options.open.mutable_open()->set_judge_only(is_simulated(session.detail));
   return options;
+}
+
+/// The fine mesh of a frame that has no other detail, and the time that it took.
+void upsample_smoothly(const SmoothUpsampling& upsampling, PipelineFrame& frame) {
+  const telemetry::StageTimer timer;
+  const auto& coarse = frame.coarse.positions();
+  const Positions fine = upsampling(Eigen::Map<const Positions>(coarse.data(), coarse.size() / 3, 3));
+  frame.fine.mutable_positions()->Assign(fine.data(), fine.data() + fine.size());
+  v1::StageTime& time = *frame.stage_times.Add();
+  time.set_stage("upsampling");
+  time.set_ms(timer.milliseconds());
 }
 
 }  // namespace
@@ -194,7 +207,8 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
     : sink_(std::move(sink)),
       failed_(std::move(failed)),
       fine_vertices_(fine_vertices),
-      earlier_(session.representation.window(), session.representation.window_stride()) {
+      earlier_(session.representation.window(), session.representation.window_stride()),
+      upsampling_(session.upsampling) {
   for (const v1::Frame& frame : session.earlier) earlier_.fill(frame);
   const auto check_fine = [fine_hash](const std::string& hash) { check_fine_hash(hash, fine_hash); };
   if (uses_network(session.detail)) {
@@ -213,6 +227,7 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
     add_stage<RefineRpc>(refine_options(addresses, link, session), session,
                          [check_fine](const auto& opened) { check_fine(opened.fine_hash()); });
   }
+  if (stages_.empty()) throw_invalid_argument("skip_refinement: goes with what makes detail");
   stage_opened_.assign(stages_.size(), false);
   for (const auto& stage : stages_) stage->start();
 }
@@ -260,6 +275,7 @@ bool EnhancementPipeline::push(std::unique_ptr<PipelineFrame> frame) {
   if (failed()) return false;
   if (!frame->error) {
     frame->earlier = earlier_.fill(frame->coarse);
+    if (upsampling_ != nullptr) upsample_smoothly(*upsampling_, *frame);
     kinds_.front().prepare(*frame);
   }
   return stages_.front()->push(std::move(frame));

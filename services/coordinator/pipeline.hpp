@@ -1,5 +1,5 @@
 // The stages behind the simulation, in a row: to_image -> superres -> to_mesh, or fold, or both -> refinement. Frames
-// overlap.
+// overlap. Without any detail the pipeline upsamples itself; simulated fine frames come with theirs and are judged.
 #pragma once
 
 #include <condition_variable>
@@ -26,6 +26,7 @@ class EnhancementPipeline {
   /// fails).
   using Sink = std::function<void(std::unique_ptr<PipelineFrame>)>;
 
+  /// Throws kInvalidArgument for a session in which no stage has anything to do.
   /// A super-resolution service that opens with another bundle than session.model fails the session
   /// (require_same_bundle).
   /// failed: called once when the session fails or is given up, in the thread where that happens; must not block.
@@ -61,6 +62,7 @@ class EnhancementPipeline {
   const std::function<void()> failed_;
   const std::size_t fine_vertices_;
   EarlierFrames earlier_;
+  const std::shared_ptr<const SmoothUpsampling> upsampling_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::optional<Error> failure_;

@@ -99,6 +99,17 @@ v1::ModelDescription describe_model(const ServiceAddresses& addresses, const Lin
   return model;
 }
 
+v1::Representation representation_of(const v1::Scene& scene, v1::Detail detail, const v1::ModelDescription& model) {
+  v1::Representation representation = model.representation();
+  if (scene.has_subdivision_rounds()) representation.set_subdivision_rounds(scene.subdivision_rounds());
+  // A scene cannot ask for the middle where a bundle has Loop's rule: that is what it says when it says nothing.
+  if (scene.subdivision_rule() != v1::SUBDIVISION_RULE_MIDPOINT) {
+    representation.set_subdivision_rule(scene.subdivision_rule());
+  }
+  if (detail == v1::DETAIL_COARSE) representation.set_subdivision_rounds(0);
+  return representation;
+}
+
 v1::ModelDescription without_model() {
   v1::ModelDescription description;
   description.set_device("cpu");

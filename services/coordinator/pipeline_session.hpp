@@ -9,8 +9,10 @@
 #include <vector>
 
 #include "common/frame/detail.hpp"
+#include "common/mesh/smooth_upsampling.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "pleat/v1/conversion.pb.h"
+#include "pleat/v1/scene.pb.h"
 #include "pleat/v1/superres.pb.h"
 #include "services/coordinator/pipeline_frame.hpp"
 #include "services/coordinator/remote_stage.hpp"
@@ -36,7 +38,8 @@ struct PipelineSession {
   v1::Representation representation;  ///< of the model, or with another subdivision that was asked for; without a
                                       ///< network the subdivision alone
   v1::ConversionOpened conversion;    ///< what conversion says of it: describe_conversion(); empty without a network
-  std::vector<v1::Frame> earlier;     ///< the frames before first_sequence that its window needs, the oldest first
+  std::shared_ptr<const SmoothUpsampling> upsampling;  ///< makes the fine mesh where nothing else does: DETAIL_NONE
+  std::vector<v1::Frame> earlier;  ///< the frames before first_sequence that its window needs, the oldest first
   google::protobuf::RepeatedPtrField<v1::ObstacleShape> obstacles;
   std::optional<float> clearance_m;
   bool skip_refinement = false;
@@ -53,6 +56,10 @@ void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, 
 /// service's default. `cancelled` is asked between attempts. Errors: kNotFound, kUnavailable (naming the address), ...
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
                                     const std::function<bool()>& cancelled);
+
+/// What a job's frames are for the network, or without one how its fine mesh comes from the coarse one: as the bundle
+/// says, unless the scene does; the coarse mesh itself with DETAIL_COARSE.
+v1::Representation representation_of(const v1::Scene& scene, v1::Detail detail, const v1::ModelDescription& model);
 
 /// What stands in for a bundle's description where there is none: where the fold step runs, and in what precision.
 v1::ModelDescription without_model();

@@ -11,6 +11,7 @@
 #include "common/frame/representation_messages.hpp"
 #include "common/mesh/fine_size.hpp"
 #include "common/mesh/subdivision.hpp"
+#include "services/refinement/judge.hpp"
 
 namespace pleat::refinement {
 namespace {
@@ -54,7 +55,12 @@ Session::Session(const v1::RefineOpen& open, const SessionOptions& options) {
   if (open.has_clearance_m()) refinement.clearance_m = static_cast<double>(open.clearance_m());
   coarse_vertices_ = coarse.vertex_count();
   fine_vertices_ = subdivision.fine.vertex_count();
-  refiner_ = std::make_unique<Refiner>(coarse, subdivision, obstacles_, refinement);
+  if (open.judge_only()) {
+    coarse_faces_ = coarse.faces;
+    fine_faces_ = subdivision.fine.faces;
+  } else {
+    refiner_ = std::make_unique<Refiner>(coarse, subdivision, obstacles_, refinement);
+  }
   spdlog::info("session: {} coarse and {} fine vertices, {} obstacles, clearance {} m", coarse_vertices_,
                fine_vertices_, obstacles_.size(), refinement.clearance_m);
 }
@@ -68,13 +74,26 @@ const RefinementReport& Session::refine(const v1::RefineFrame& request, v1::Refi
   const Positions fine = positions_from_message(request.fine(), fine_vertices_, "frame.fine");
   const std::vector<ObstacleFrame> obstacles =
       obstacles_from_messages(request.obstacles(), obstacles_, "frame.obstacles");
-  refiner_->refine(coarse, fine, obstacles, result_);
+  if (refiner_ != nullptr)
+    refiner_->refine(coarse, fine, obstacles, result_);
+  else
+    judge(coarse, fine, obstacles);
   v1::Frame* refined = response->mutable_fine();
   refined->set_index(request.fine().index());
   refined->set_time_s(request.fine().time_s());
   to_message(result_.positions, refined->mutable_positions());
   fill(result_.report, response->mutable_report());
   return result_.report;
+}
+
+void Session::judge(const Positions& coarse, const Positions& fine, const std::vector<ObstacleFrame>& obstacles) {
+  result_.positions = fine;
+  RefinementReport report;
+  report.pairs_before = report.pairs_after = count_self_intersections(fine, fine_faces_);
+  report.penetrations_before = report.penetrations_after = count_penetrations(fine, fine_faces_, obstacles_, obstacles);
+  report.input_intersects = count_self_intersections(coarse, coarse_faces_) > 0 ||
+                            count_penetrations(coarse, coarse_faces_, obstacles_, obstacles) > 0;
+  result_.report = report;
 }
 
 }  // namespace pleat::refinement

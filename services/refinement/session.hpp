@@ -27,10 +27,13 @@ class Session {
   const RefinementReport& refine(const v1::RefineFrame& request, v1::RefinedFrame* response);
 
  private:
+  void judge(const Positions& coarse, const Positions& fine, const std::vector<ObstacleFrame>& obstacles);
+
   std::vector<ObstacleShape> obstacles_;
   Eigen::Index coarse_vertices_ = 0, fine_vertices_ = 0;
   std::string fine_hash_;
-  std::unique_ptr<Refiner> refiner_;
+  std::unique_ptr<Refiner> refiner_;  ///< null: frames are judged alone
+  Faces coarse_faces_, fine_faces_;   ///< for that
   RefinedMesh result_;
 };
 

@@ -1,5 +1,5 @@
-// `pleat run` and `pleat enhance` with the fold step: no bundle, no network, for a scene and for frames of another
-// tool.
+// Commands without any bundle: `pleat run` and `pleat enhance` with the fold step or without any detail, for a scene
+// and for frames of another tool; `pleat simulate`.
 #include <gtest/gtest.h>
 
 #include <cstdlib>
@@ -17,6 +17,11 @@ namespace fs = std::filesystem;
 
 constexpr int kFrames = 14;
 
+nlohmann::json report_in(const fs::path& folder) {
+  std::ifstream file(folder / "report.json");
+  return nlohmann::json::parse(file);
+}
+
 class FoldCommands : public testing::Test {
  protected:
   FoldCommands() {
@@ -24,20 +29,27 @@ class FoldCommands : public testing::Test {
     if (const char* source = std::getenv("PLEAT_SOURCE_DIR")) source_ = source;
   }
 
-  void expect_done(const std::vector<std::string>& arguments, const std::string& out) {
-    std::vector<std::string> all = arguments;
-    all.insert(all.end(), {"--detail", "fold", "--out", (folder_ / out).string()});
+  void expect_clean(std::vector<std::string> arguments, const std::string& out, const std::string& detail) {
+    arguments.insert(arguments.end(), {"--out", (folder_ / out).string()});
     // No bundle anywhere.
     const Outcome outcome =
-        run(built("pleat"), all, folder_ / (out + "-outcome"), {{"PLEAT_MODELS", (folder_ / "models").string()}});
+        run(built("pleat"), arguments, folder_ / (out + "-outcome"), {{"PLEAT_MODELS", (folder_ / "models").string()}});
     ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
-    std::ifstream file(folder_ / out / "report.json");
-    const auto report = nlohmann::json::parse(file);
+    const auto report = report_in(folder_ / out);
     EXPECT_EQ(report.at("frames"), kFrames);
-    EXPECT_EQ(report.at("detail"), "fold");
+    EXPECT_EQ(report.at("detail"), detail);
     EXPECT_EQ(report.at("penetrations"), 0);
     EXPECT_EQ(report.at("self_intersections"), 0);
     EXPECT_EQ(report.at("frame_errors"), 0);
+    EXPECT_TRUE(fs::exists(folder_ / out / "report.html"));
+  }
+
+  void expect_done(const std::vector<std::string>& arguments, const std::string& out) {
+    std::vector<std::string> all = arguments;
+    all.insert(all.end(), {"--detail", "fold"});
+    expect_clean(all, out, "fold");
+    if (HasFailure()) return;
+    const auto report = report_in(folder_ / out);
     EXPECT_EQ(report.at("fold_restarts"), 1) << "the first frame alone begins anew";
     EXPECT_GT(report.at("fold_steps"), 0);
     EXPECT_TRUE(report.at("stages").contains("fold"));
@@ -64,6 +76,31 @@ TEST_F(FoldCommands, NeedNoBundle) {
   const float differ =
       (ours.enhanced(kFrames - 1, kFrames)[0] - theirs.enhanced(kFrames - 1, kFrames)[0]).cwiseAbs().maxCoeff();
   EXPECT_LT(differ, 2e-2F) << "velocities are differences of rounded positions: almost the same frame";
+}
+
+TEST_F(FoldCommands, ALookBeforeTraining) {
+  const std::string scene = (source_ / "deploy/scenes/draping.json").string(), frames = std::to_string(kFrames);
+  expect_clean({"simulate", scene, "--frames", frames}, "coarse", "coarse");
+  expect_clean({"simulate", scene, "--frames", frames, "--mode", "free"}, "free", "free");
+  expect_clean({"run", scene, "--frames", frames, "--model", "none"}, "smooth", "none");
+  if (HasFailure()) return;
+  EXPECT_FALSE(fs::exists(folder_ / "coarse" / "logs" / "fold.log")) << "started for nothing";
+  const ResultReader coarse(folder_ / "coarse" / "result.h5"), free(folder_ / "free" / "result.h5"),
+      smooth(folder_ / "smooth" / "result.h5");
+  const std::uint64_t last = kFrames - 1;
+  EXPECT_EQ(coarse.enhanced(last, kFrames)[0], coarse.coarse(last, kFrames)[0]);
+  EXPECT_EQ(free.coarse(last, kFrames)[0], coarse.coarse(last, kFrames)[0]) << "one simulation, three looks";
+  EXPECT_EQ(smooth.coarse(last, kFrames)[0], coarse.coarse(last, kFrames)[0]);
+  EXPECT_EQ(free.info().topology.fine.vertex_count(), smooth.info().topology.fine.vertex_count());
+  EXPECT_NE(free.enhanced(last, kFrames)[0], smooth.enhanced(last, kFrames)[0]);
+  EXPECT_TRUE(report_in(folder_ / "free").at("stages").contains("simulation.fine"));
+
+  expect_clean({"enhance", "--rest", (source_ / "deploy/garments/tablecloth.obj").string(), "--frames",
+                (folder_ / "coarse" / "result.h5").string(), "--detail", "none"},
+               "theirs", "none");
+  if (HasFailure()) return;
+  const ResultReader theirs(folder_ / "theirs" / "result.h5");
+  EXPECT_LT((theirs.enhanced(last, kFrames)[0] - smooth.enhanced(last, kFrames)[0]).cwiseAbs().maxCoeff(), 1e-6F);
 }
 
 }  // namespace

@@ -184,6 +184,7 @@ class FakeSimulation final : public FakeService, public v1::Simulation::Service 
             sphere.set_radius(0.5F);
           }
           add_time(frame.mutable_stage_times(), "simulation", 1.5);
+          if (frame.has_fine()) add_time(frame.mutable_stage_times(), "simulation.fine", 2.5);
           // In frame 3, and by a session that begins after it as well.
           if (!std::exchange(warned, index >= 3) && index >= 3) frame.add_warnings("doubtful, on purpose");
           if (open.checkpoint_interval() != 0 && (index + 1) % open.checkpoint_interval() == 0) {
@@ -350,12 +351,13 @@ class FakeRefinement final : public FakeService, public v1::Refinement::Service 
 
   grpc::Status Refine(grpc::ServerContext* context,
                       grpc::ServerReaderWriter<v1::RefineResponse, v1::RefineRequest>* stream) override {
+    bool judges = false;
     return serve(
-        *this, context, stream, [](const v1::RefineOpen&, v1::RefineOpened&) {},
-        [](const v1::RefineFrame& frame, std::uint64_t index, v1::RefinedFrame& refined) {
+        *this, context, stream, [&](const v1::RefineOpen& open, v1::RefineOpened&) { judges = open.judge_only(); },
+        [&](const v1::RefineFrame& frame, std::uint64_t index, v1::RefinedFrame& refined) {
           *refined.mutable_fine() = frame.fine();
           refined.mutable_fine()->set_index(index);
-          for (float& value : *refined.mutable_fine()->mutable_positions()) value += kRefinementOffset;
+          for (float& value : *refined.mutable_fine()->mutable_positions()) value += judges ? 0 : kRefinementOffset;
           refined.mutable_report()->set_self_intersections_before(2);
           refined.mutable_report()->set_penetrations_after(index == 3 ? 1 : 0);
           refined.mutable_report()->set_zones(static_cast<std::uint32_t>(frame.obstacles_size()));

@@ -168,9 +168,9 @@ class Client:
                 detail: str = "", material: "str | os.PathLike[str]" = "", held: Sequence_[int] = ()) -> Session:
         """Opens a live session. model: a bundle's name, "" for the coordinator's default. window: frames in flight, 0
         for 4. rounds: of subdivision from the coarse to the fine mesh, None for the bundle's. detail: what makes the
-        wrinkles, "network", "fold" (the fold step, which needs no bundle) or "both"; "": a network where a bundle is
-        named, else the fold step. For the fold step: material, a file in ARCSim's format, "" for Gray Interlock; held,
-        coarse vertices that the cloth is held at all the time."""
+        wrinkles, "network", "fold" (the fold step, which needs no bundle), "both" or "none" (smooth upsampling alone);
+        "": a network where a bundle is named, else the fold step. For the fold step: material, a file in ARCSim's
+        format, "" for Gray Interlock; held, coarse vertices that the cloth is held at all the time."""
         text = pathlib.Path(material).read_text(encoding="utf-8") if material else ""
         return Session(self, garment, model, frame_time_s, obstacles, window, rounds, detail, text, held)
 
@@ -244,9 +244,9 @@ def connect(address: Optional[str] = None, *, program: Optional[str] = None, tim
 
 def _detail(name: str) -> int:
     known = {"": common_pb2.DETAIL_UNSPECIFIED, "network": common_pb2.DETAIL_NETWORK, "fold": common_pb2.DETAIL_FOLD,
-             "both": common_pb2.DETAIL_BOTH}
+             "both": common_pb2.DETAIL_BOTH, "none": common_pb2.DETAIL_NONE}
     if name not in known:
-        raise ValueError(f"detail '{name}': there are network, fold and both")
+        raise ValueError(f"detail '{name}': there are network, fold, both and none")
     return int(known[name])
 
 

@@ -430,6 +430,58 @@ TEST_F(JobsTest, AFoldedJobWithoutItsCheckpointIsMadeAgainAndKeepsItsFrames) {
   EXPECT_EQ(std::count(restarts.begin(), restarts.end(), 1U), 1);
 }
 
+TEST_F(JobsTest, WithoutDetailFramesAreUpsampledSmoothlyAndRefined) {
+  fakes_.conversion().stop();
+  fakes_.superres().stop();
+  fakes_.fold().stop();
+  start();
+  create(12, "a", false, v1::DETAIL_NONE);
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  EXPECT_EQ(job.summary().detail(), v1::DETAIL_NONE);
+  const ResultReader reader(job.result_path());
+  EXPECT_EQ(reader.info().stages, (std::vector<std::string>{"refinement", "simulation", "store", "upsampling"}));
+  const Topology coarse = testing::sheet();
+  const SmoothUpsampling upsampling(coarse, subdivide(coarse, 2));
+  for (std::uint64_t i = 0; i < 12; ++i) {
+    Positions expected = upsampling(reader.coarse(i, i + 1)[0]);
+    expected.array() += 0.001F;  // the fake refinement's
+    ASSERT_EQ(reader.enhanced(i, i + 1)[0], expected) << i;
+  }
+}
+
+TEST_F(JobsTest, ASimulationAloneIsJudgedAndKeptAsItIs) {
+  fakes_.conversion().stop();
+  fakes_.superres().stop();
+  fakes_.fold().stop();
+  start();
+  const Topology coarse = testing::sheet();
+  const Subdivision subdivision = subdivide(coarse, 2);
+  for (const v1::Detail detail : {v1::DETAIL_COARSE, v1::DETAIL_TRACKED, v1::DETAIL_FREE}) {
+    const std::string id(name_of(detail));
+    create(8, id, false, detail);
+    const v1::Job job = finished(id);
+    ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+    EXPECT_EQ(job.summary().detail(), detail);
+    EXPECT_EQ(job.summary().penetrations(), 1U) << "of frame 3, as the fake has them";
+    const ResultReader reader(job.result_path());
+    for (std::uint64_t i = 0; i < 8; ++i) {
+      const Positions frame = reader.coarse(i, i + 1)[0];
+      const Positions expected =
+          detail == v1::DETAIL_COARSE
+              ? frame
+              : testing::fake_enhanced(subdivision, coarse.faces, testing::fake_coarse_frame(coarse, i));
+      ASSERT_EQ(reader.enhanced(i, i + 1)[0], expected) << id << " " << i;
+    }
+  }
+  v1::CreateJobRequest request;
+  *request.mutable_scene() = testing::fake_scene(4);
+  request.set_detail(v1::DETAIL_TRACKED);
+  request.set_reference(true);
+  v1::Job job;
+  EXPECT_EQ(create(request, &job).error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
 TEST_F(JobsTest, ARestartedCoordinatorDoesNotMixBundles) {
   start();
   fakes_.simulation().faults.delay(3ms);

@@ -220,6 +220,36 @@ TEST_F(LiveSessionTest, TheFoldStepNeedsNoBundle) {
   EXPECT_TRUE(client->finish().ok());
 }
 
+TEST_F(LiveSessionTest, WithoutDetailFramesAreUpsampledSmoothly) {
+  fakes_.conversion().stop();
+  fakes_.superres().stop();
+  start();
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->set_detail(v1::DETAIL_NONE);
+  const auto client = open(request);
+  const SmoothUpsampling upsampling(coarse_, subdivide(coarse_, 2));
+  for (std::uint64_t i = 0; i < 3; ++i) {
+    client->send(frame_request(i));
+    const v1::EnhanceResponse response = client->receive();
+    ASSERT_TRUE(response.has_frame()) << response.error().message();
+    Positions expected = upsampling(positions_from_message(testing::fake_coarse_frame(coarse_, i)));
+    expected.array() += 0.001F;  // the fake refinement's
+    EXPECT_EQ(positions_from_message(response.frame().fine()), expected);
+  }
+  client->close();
+  EXPECT_TRUE(client->finish().ok());
+}
+
+TEST_F(LiveSessionTest, RefusesWhatIsForJobsAndSessionsWithoutAnyStage) {
+  start();
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->set_detail(v1::DETAIL_TRACKED);
+  expect_refused(request, grpc::StatusCode::INVALID_ARGUMENT, "open.detail: 'tracked' is for jobs");
+  request.mutable_open()->set_detail(v1::DETAIL_NONE);
+  request.mutable_open()->set_skip_refinement(true);
+  expect_refused(request, grpc::StatusCode::INVALID_ARGUMENT, "skip_refinement");
+}
+
 TEST_F(LiveSessionTest, FaultsAreInvisible) {
   start();
   for (testing::FakeService* fake : {&fakes_.conversion(), &fakes_.superres(), &fakes_.refinement()}) {

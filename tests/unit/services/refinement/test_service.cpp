@@ -101,6 +101,33 @@ TEST_F(RefinementServer, FramesComeBackCleanWithTheirReport) {
   }
 }
 
+TEST_F(RefinementServer, AJudgeCountsAndChangesNothing) {
+  open_.mutable_open()->set_judge_only(true);
+  const auto judge = stream();
+  EXPECT_EQ(judge->open(open_).fine_hash(), topology_hash(cloth_.fine()));
+  Positions dented = cloth_.fine().rest_positions + test::noise(cloth_.fine().vertex_count(), 0.02f, 1);
+  dented.col(1).array() -= 0.08f;
+  judge->push(frame(3, dented));
+  v1::RefineResponse response;
+  ASSERT_TRUE(judge->pop(&response));
+  ASSERT_TRUE(response.has_frame()) << response.error().message();
+  EXPECT_EQ(positions_from_message(response.frame().fine()), dented);
+  const v1::RefinementReport& report = response.frame().report();
+  EXPECT_GT(report.self_intersections_after(), 0u);
+  EXPECT_EQ(report.self_intersections_after(), count_self_intersections(dented, cloth_.fine().faces));
+  EXPECT_GT(report.penetrations_after(), 0u);
+  EXPECT_EQ(report.penetrations_after(),
+            count_penetrations(dented, cloth_.fine().faces, {}, std::vector<ObstacleFrame>{ball_}));
+  EXPECT_FALSE(report.input_intersects());
+
+  v1::RefineRequest folded = frame(4, dented);
+  v1::Frame& coarse = *folded.mutable_frame()->mutable_coarse();
+  coarse.set_positions(1, coarse.positions(1) - 1);  // a corner through the ball
+  judge->push(folded);
+  ASSERT_TRUE(judge->pop(&response));
+  EXPECT_TRUE(response.frame().report().input_intersects());
+}
+
 TEST_F(RefinementServer, CapsuleSetsAreObstacles) {
   ObstacleFrame limbs;
   limbs.name = "limbs";
