@@ -3,6 +3,7 @@
 #include <cctype>
 
 #include "common/base/error.hpp"
+#include "common/mesh/animated_mesh.hpp"
 #include "common/mesh/obj.hpp"
 #include "common/mesh/ply.hpp"
 
@@ -12,7 +13,7 @@ namespace {
 [[noreturn]] void refuse(const std::filesystem::path& path) {
   std::error_code ignored;
   if (!std::filesystem::exists(path, ignored)) throw_not_found(path.string() + ": no such file");
-  throw_invalid_argument(path.string() + ": meshes are read from .obj and .ply");
+  throw_invalid_argument(path.string() + ": meshes are read from .obj, .ply, .gltf, .glb and .usda");
 }
 
 }  // namespace
@@ -25,13 +26,14 @@ std::string lower_extension(const std::filesystem::path& path) {
 
 bool is_mesh_file(const std::filesystem::path& path) {
   const std::string extension = lower_extension(path);
-  return extension == ".obj" || extension == ".ply";
+  return extension == ".obj" || extension == ".ply" || is_animated_mesh_file(path);
 }
 
 Topology read_mesh(const std::filesystem::path& path, MeshUse use) {
   const std::string extension = lower_extension(path);
   if (extension == ".obj") return read_obj(path, use);
   if (extension == ".ply") return to_topology(read_ply(path), path.string(), use);
+  if (is_animated_mesh_file(path)) return to_topology(open_animated_mesh(path)->mesh(), path.string(), use);
   refuse(path);
 }
 
@@ -39,6 +41,7 @@ Positions read_mesh_frame(const std::filesystem::path& path, const Topology& res
   const std::string extension = lower_extension(path);
   if (extension == ".obj") return read_obj_frame(path, rest);
   if (extension == ".ply") return to_frame(read_ply(path), rest, path.string());
+  if (is_animated_mesh_file(path)) return MatchedFrames(path, rest).positions(0);
   refuse(path);
 }
 

@@ -7,13 +7,14 @@
 
 namespace pleat {
 
-/// Whether files of this name are read by read_mesh: .obj, .ply.
+/// Whether files of this name are read by read_mesh: .obj, .ply, and those of open_animated_mesh.
 bool is_mesh_file(const std::filesystem::path& path);
 
-/// Throws as read_obj and read_ply, kInvalidArgument for another ending.
+/// Of a file with frames the first one. Throws as read_obj, read_ply and open_animated_mesh, kInvalidArgument for
+/// another ending.
 Topology read_mesh(const std::filesystem::path& path, MeshUse use);
 
-/// A frame of `rest` (to_frame).
+/// A frame of `rest` (to_frame, MatchedFrames).
 Positions read_mesh_frame(const std::filesystem::path& path, const Topology& rest);
 
 /// ".obj" of "A.OBJ".

@@ -101,7 +101,7 @@ std::vector<fs::path> files_of_folder(const fs::path& folder) {
   std::vector<fs::path> files;
   for (const fs::directory_entry& entry : fs::directory_iterator(folder))
     if (entry.is_regular_file() && is_mesh_file(entry.path())) files.push_back(entry.path());
-  if (files.empty()) throw_not_found(folder.string() + ": no .obj or .ply file in this folder");
+  if (files.empty()) throw_not_found(folder.string() + ": no .obj, .ply or other mesh file in this folder");
   std::sort(files.begin(), files.end());
   return files;
 }

@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include "common/base/error.hpp"
+#include "common/mesh/animated_mesh.hpp"
 #include "common/mesh/holes.hpp"
 #include "common/mesh/mesh_file.hpp"
 
@@ -49,12 +50,14 @@ ObstacleInput::ObstacleInput(const std::vector<std::string>& texts) {
     } else {
       const auto at = text.find('@');
       const std::filesystem::path file = text.substr(0, at);
-      const bool moved = at != std::string::npos;
+      const bool moved =
+          at != std::string::npos || (is_animated_mesh_file(file) && open_animated_mesh(file)->frame_count() > 1);
       const Topology open = read_mesh(file, MeshUse::kObstacle);
       const Topology mesh = close_holes(open, moved, file.string(), notes_);
       obstacle.shape.faces = mesh.faces;
       obstacle.rest.positions = mesh.rest_positions;
-      if (at != std::string::npos) obstacle.motion = open_frame_sequence(text.substr(at + 1), open);
+      if (moved)
+        obstacle.motion = open_frame_sequence(at == std::string::npos ? file.string() : text.substr(at + 1), open);
       name = file.stem().string();
     }
     std::string unique = name;

@@ -13,6 +13,7 @@
 
 #include "common/base/error.hpp"
 #include "common/base/text_file.hpp"
+#include "common/mesh/animated_mesh.hpp"
 #include "common/mesh/mesh_file.hpp"
 #include "common/store/hdf5.hpp"
 
@@ -243,6 +244,18 @@ class ArrayFile final : public PointSequence {
   Eigen::Index points_ = 0;
 };
 
+class AnimatedPoints final : public PointSequence {
+ public:
+  explicit AnimatedPoints(const fs::path& path) : mesh_(open_animated_mesh(path)) {}
+  Eigen::Index point_count() const override { return static_cast<Eigen::Index>(mesh_->mesh().positions.size() / 3); }
+  std::size_t frame_count() const override { return mesh_->frame_count(); }
+  Positions positions(std::size_t frame) const override { return mesh_->positions(frame); }
+  double frame_time_s() const override { return mesh_->frame_time_s(); }
+
+ private:
+  std::unique_ptr<AnimatedMesh> mesh_;
+};
+
 /// FILE.h5:/array as its two parts.
 std::pair<fs::path, std::string> split_array(const std::string& source) {
   for (const char* ending : {".h5:", ".hdf5:"}) {
@@ -258,6 +271,7 @@ std::pair<fs::path, std::string> split_array(const std::string& source) {
 
 bool is_point_sequence(const std::string& source) {
   const std::string ending = lower_extension(split_array(source).first);
+  if (is_animated_mesh_file(source)) return true;
   return ending == ".pc2" || ending == ".mdd" || ending == ".npy" || ending == ".h5" || ending == ".hdf5";
 }
 
@@ -266,11 +280,12 @@ std::unique_ptr<PointSequence> open_points(const std::string& source) {
   std::error_code ignored;
   if (!fs::exists(path, ignored)) throw_not_found(path.string() + ": no such file");
   const std::string ending = lower_extension(path);
+  if (is_animated_mesh_file(path)) return std::make_unique<AnimatedPoints>(path);
   if (ending == ".pc2") return std::make_unique<Pc2File>(path);
   if (ending == ".mdd") return std::make_unique<MddFile>(path);
   if (ending == ".npy") return std::make_unique<NpyFile>(path);
   if (ending == ".h5" || ending == ".hdf5") return std::make_unique<ArrayFile>(path, array);
-  throw_invalid_argument(source + ": points are read from .pc2, .mdd, .npy and .h5");
+  throw_invalid_argument(source + ": points are read from .pc2, .mdd, .npy, .h5, .glb, .gltf and .usda");
 }
 
 }  // namespace pleat::presentation

@@ -25,7 +25,8 @@ class PointSequence {
   virtual std::string warning() const { return {}; }
 };
 
-/// Whether `source` names a file that open_points reads, by its ending: .pc2, .mdd, .npy, .h5, .hdf5, .h5:/array.
+/// Whether `source` names a file that open_points reads, by its ending: .pc2, .mdd, .npy, .h5, .hdf5, .h5:/array, .glb,
+/// .gltf, .usda, .usd.
 bool is_point_sequence(const std::string& source);
 
 /// Opens
@@ -36,6 +37,7 @@ bool is_point_sequence(const std::string& source);
 ///   FILE.npy               a NumPy array (T, points, 3) or (points, 3), float32 or float64 of either byte order
 ///   FILE.h5                the array `positions` (T, points, 3), of any floating type
 ///   FILE.h5:/group/array   another array of that shape
+///   FILE.glb, .gltf, .usda the points of open_animated_mesh
 /// Throws kNotFound (no such file or array), kInvalidArgument (not of that format or shape), kDataLoss (truncated).
 std::unique_ptr<PointSequence> open_points(const std::string& source);
 

@@ -14,6 +14,7 @@
 #include "common/base/text_file.hpp"
 #include "common/frame/frame.hpp"
 #include "common/frame/messages.hpp"
+#include "common/mesh/animated_mesh.hpp"
 #include "common/mesh/holes.hpp"
 #include "common/mesh/mesh_file.hpp"
 #include "common/scene/animation_parts.hpp"
@@ -180,6 +181,14 @@ void inline_obstacle(v1::Obstacle& obstacle, const v1::Scene& scene, const fs::p
     const fs::path file = folder / obstacle.mesh_file();
     std::error_code ignored;
     if (!fs::is_regular_file(file, ignored)) throw_not_found(where + ".mesh_file " + file.string() + ": no such file");
+    if (is_animated_mesh_file(file) && !obstacle.has_animation() && obstacle.motion_size() == 0) {
+      // A file with frames moves.
+      const auto animated = open_animated_mesh(file);
+      if (animated->frame_count() > 1) {
+        obstacle.mutable_animation()->set_file(obstacle.mesh_file());
+        obstacle.mutable_animation()->set_sample_time_s(animated->frame_time_s());
+      }
+    }
     *obstacle.mutable_mesh() = to_message(
         close_holes(read_mesh(file, MeshUse::kObstacle), !obstacle.animation().file().empty(), file.string(), notes));
   }

@@ -3,6 +3,7 @@
 #include <system_error>
 
 #include "common/base/error.hpp"
+#include "common/mesh/animated_mesh.hpp"
 #include "common/mesh/mesh_file.hpp"
 #include "common/store/dataset.hpp"
 #include "common/store/hdf5.hpp"
@@ -53,6 +54,17 @@ class Points final : public FrameSequence {
 
  private:
   std::unique_ptr<PointSequence> points_;
+};
+
+class AnimatedFile final : public FrameSequence {
+ public:
+  AnimatedFile(const fs::path& path, const Topology& rest) : frames_(path, rest) {}
+  std::size_t frame_count() const override { return frames_.frame_count(); }
+  Positions positions(std::size_t frame) const override { return frames_.positions(frame); }
+  double frame_time_s() const override { return frames_.frame_time_s(); }
+
+ private:
+  MatchedFrames frames_;
 };
 
 class ResultSequence final : public FrameSequence {
@@ -123,6 +135,7 @@ std::unique_ptr<FrameSequence> open_frame_sequence(const std::string& source, co
   }
   const std::string extension = lower_extension(path);
   if (!is_folder && fs::exists(path, ignored)) {
+    if (is_animated_mesh_file(path)) return std::make_unique<AnimatedFile>(path, rest);
     if (is_mesh_file(path)) return std::make_unique<MeshFiles>(std::vector<fs::path>{path}, rest);
     if (extension == ".h5" || extension == ".hdf5" || extension == ".partial") {
       const fs::path folder = fs::absolute(path).parent_path();
@@ -134,7 +147,8 @@ std::unique_ptr<FrameSequence> open_frame_sequence(const std::string& source, co
       if (is_result(path)) return std::make_unique<ResultSequence>(path, rest);
     }
     if (is_point_sequence(source)) return std::make_unique<Points>(source, rest);
-    throw_invalid_argument(source + ": frames are read from .obj, .ply, .pc2, .mdd, .npy, .h5 and folders of meshes");
+    throw_invalid_argument(
+        source + ": frames are read from .obj, .ply, .glb, .gltf, .usda, .pc2, .mdd, .npy, .h5 and folders of meshes");
   }
   if (!is_folder && is_point_sequence(source)) return std::make_unique<Points>(source, rest);
   return std::make_unique<MeshFiles>(numbered_files(source), rest);

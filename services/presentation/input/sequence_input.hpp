@@ -33,6 +33,7 @@ class FrameSequence {
 /// Opens `source`, of the topology of `rest`:
 ///   a folder, a glob, a printf pattern   mesh files, one a frame (numbered_files)
 ///   FILE.obj, FILE.ply                   one frame
+///   FILE.glb, .gltf, .usda               a mesh with its frames, of any order of vertices (MatchedFrames)
 ///   FILE.pc2, .mdd, .npy, .h5:/array     points in the order of the rest mesh's vertices (open_points)
 ///   FILE.h5, .h5.partial                 a result (its coarse frames), a sequence of a data set
 ///                                        (DATASET/sequences/NAME.h5), else the array `positions`

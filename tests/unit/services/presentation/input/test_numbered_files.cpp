@@ -64,7 +64,7 @@ TEST_F(NumberedFiles, FoldersMayHoldOtherFiles) {
 }
 
 TEST_F(NumberedFiles, WhatIsNotThereIsNamed) {
-  EXPECT_THAT(cause(), testing::HasSubstr("no .obj or .ply file"));
+  EXPECT_THAT(cause(), testing::HasSubstr("no .obj, .ply or other mesh file"));
   EXPECT_THAT(cause("*.obj"), testing::HasSubstr("no file matches"));
   EXPECT_THAT(cause("c%d.obj"), testing::HasSubstr("no file matches"));
   EXPECT_THAT(cause("c%d_%d.obj"), testing::HasSubstr("exactly one %d"));
