@@ -14,7 +14,11 @@ namespace fs = std::filesystem;
 
 constexpr const char* kCacheComment = "# cache ";
 // The last one: of versions before the marks.
-constexpr std::string_view kMarks[] = {kObjMark, kPlyMark, kUsdMark, "\"generator\":\"written by Pleat\"",
+constexpr std::string_view kMarks[] = {kObjMark,
+                                       kPlyMark,
+                                       kUsdMark,
+                                       kImageMark,
+                                       "\"generator\":\"written by Pleat\"",
                                        "comment metres, Y up\nelement vertex"};
 
 /// The lines "# cache NAME HASH" at the begin of an OBJ of ours.

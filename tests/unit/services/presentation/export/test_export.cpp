@@ -1,6 +1,7 @@
 // Exports are read back with readers written here from the formats' descriptions.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <zlib.h>
 
 #include <algorithm>
 #include <cstring>
@@ -10,6 +11,8 @@
 #include <sstream>
 
 #include "common/base/error.hpp"
+#include "common/mesh/animated_mesh.hpp"
+#include "common/mesh/mesh_file.hpp"
 #include "common/mesh/obj.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/result.hpp"
@@ -90,6 +93,10 @@ class Export : public testing::Test {
     input_.frame_count = 3;
     input_.frame_time_s = 0.04;
     input_.frame = [this](std::size_t t) { return moved(input_.topology, t); };
+    auto coarse = std::make_shared<ExportInput>(input_);
+    coarse->name = "coarse";
+    coarse->frame = [](std::size_t t) { return moved(quad(), t); };
+    input_.coarse = std::move(coarse);
   }
 
   const test::TemporaryFolder temporary_;
@@ -296,6 +303,78 @@ TEST_F(Export, GltfOfOneFrameStandsStill) {
   EXPECT_FALSE(glb.json.at("meshes").at(0).at("primitives").at(0).at("attributes").contains("TEXCOORD_0"));
 }
 
+TEST_F(Export, UsdzIsAStoredZipWithItsContentAtAMultipleOf64) {
+  const std::string stage = read_file(export_frames(input_, ExportFormat::kUsda, folder_).at(0));
+  const auto files = export_frames(input_, ExportFormat::kUsdz, folder_);
+  ASSERT_THAT(files, testing::ElementsAre(folder_ / "sheet.usdz"));
+  Bytes zip(read_file(files[0]), false);
+  EXPECT_EQ(zip.take(4), "PK\3\4");
+  zip.take(4);
+  EXPECT_EQ(zip.next<std::uint16_t>(), 0) << "stored";
+  zip.take(4);
+  const auto sum = zip.next<std::uint32_t>();
+  EXPECT_EQ(sum, crc32_z(0, reinterpret_cast<const Bytef*>(stage.data()), stage.size()));
+  EXPECT_EQ(zip.next<std::uint32_t>(), stage.size());
+  EXPECT_EQ(zip.next<std::uint32_t>(), stage.size());
+  const auto name = zip.next<std::uint16_t>(), extra = zip.next<std::uint16_t>();
+  EXPECT_EQ(zip.take(name), "cloth.usda");
+  zip.take(extra);
+  EXPECT_EQ((30u + name + extra) % 64, 0u);
+  EXPECT_EQ(zip.take(stage.size()), stage);
+  EXPECT_EQ(zip.take(4), "PK\1\2");
+  zip.take(6);
+  zip.take(6);
+  EXPECT_EQ(zip.next<std::uint32_t>(), sum);
+  zip.take(26);
+  EXPECT_EQ(zip.take(name), "cloth.usda");
+  EXPECT_EQ(zip.take(4), "PK\5\6");
+  zip.take(12);
+  EXPECT_EQ(zip.next<std::uint32_t>(), 30u + name + extra + stage.size()) << "where the directory begins";
+  EXPECT_EQ(zip.next<std::uint16_t>(), 0);
+  EXPECT_TRUE(zip.at_end());
+}
+
+TEST_F(Export, AnotherUnitAxisRangeAndRateAreThoseOfTheFiles) {
+  const ExportInput cm = changed(input_, {.metres_per_unit = 0.01, .z_up = true, .start = 1, .end = 3, .fps = 50});
+  ASSERT_EQ(cm.frame_count, 3u) << "0.04 s at 50 a second";
+  EXPECT_DOUBLE_EQ(cm.frame_time_s, 0.02);
+  const Positions first = moved(quad(), 1), last = moved(quad(), 2), middle = cm.frame(1);
+  for (Eigen::Index v = 0; v < 4; ++v) {
+    const Eigen::RowVector3f between = 50 * (first.row(v) + last.row(v));
+    EXPECT_LT((middle.row(v) - Eigen::RowVector3f(between.x(), -between.z(), between.y())).norm(), 1e-4F);
+    EXPECT_EQ(cm.frame(2).row(v), 100.0F * Eigen::RowVector3f(last(v, 0), -last(v, 2), last(v, 1)));
+    EXPECT_EQ(cm.topology.rest_positions(v, 2), 100 * quad().rest_positions(v, 1));
+  }
+  EXPECT_EQ(cm.coarse->frame_count, 3u);
+  const std::string text = read_file(export_frames(cm, ExportFormat::kUsda, folder_).at(0));
+  EXPECT_THAT(text, testing::HasSubstr("metersPerUnit = 0.01\n"));
+  EXPECT_THAT(text, testing::HasSubstr("upAxis = \"Z\"\n"));
+  EXPECT_THAT(text, testing::HasSubstr("timeCodesPerSecond = 50\n"));
+  EXPECT_THAT(read_file(export_frames(cm, ExportFormat::kObj, folder_).at(0)),
+              testing::HasSubstr("0.01 m, and Z is up"));
+  EXPECT_THROW(export_frames(cm, ExportFormat::kGlb, folder_), Error);
+  EXPECT_THROW(changed(input_, {.start = 3}), Error);
+  EXPECT_THROW(changed(input_, {.start = 2, .end = 2}), Error);
+  EXPECT_EQ(changed(input_, {.fps = 24}).frame_count, 2u) << "0.08 s hold 1.92 frames";
+}
+
+TEST_F(Export, OurGltfAndUsdAreReadAsTheFramesThatTheyAre) {
+  // A seam, and vertices in another order than the corners' first appearance.
+  input_.topology.uv.conservativeResize(5, 2);
+  input_.topology.uv.row(4) << 3, 0.25f;
+  input_.topology.uv_faces(1, 1) = 4;
+  input_.topology.faces << 1, 2, 0, 0, 2, 3;
+  for (const auto format : {ExportFormat::kGlb, ExportFormat::kUsda}) {
+    const fs::path file = export_frames(input_, format, folder_).at(0);
+    const MatchedFrames frames(file, input_.topology);
+    ASSERT_EQ(frames.frame_count(), 3u);
+    EXPECT_NEAR(frames.frame_time_s(), 0.04, 1e-6);
+    for (std::size_t t = 0; t < 3; ++t) EXPECT_LT((frames.positions(t) - input_.frame(t)).cwiseAbs().maxCoeff(), 1e-6F);
+    const Topology read = read_mesh(file, MeshUse::kGarment);
+    EXPECT_EQ(read.uv.row(read.uv_faces(1, 1)), input_.topology.uv.row(4));
+  }
+}
+
 TEST_F(Export, BadInputIsNamedAndLeavesNoFile) {
   EXPECT_THROW(
       {
@@ -322,7 +401,7 @@ TEST_F(Export, BadInputIsNamedAndLeavesNoFile) {
 
 TEST_F(Export, ReplacesEarlierExportsAndNothingElse) {
   for (const auto format : {ExportFormat::kObj, ExportFormat::kPly, ExportFormat::kPc2, ExportFormat::kMdd,
-                            ExportFormat::kUsda, ExportFormat::kGlb}) {
+                            ExportFormat::kUsda, ExportFormat::kUsdz, ExportFormat::kGlb, ExportFormat::kMaps}) {
     const auto files = export_frames(input_, format, folder_);
     EXPECT_NO_THROW(export_frames(input_, format, folder_)) << static_cast<int>(format);
     for (const fs::path& file : files) {
@@ -344,7 +423,7 @@ TEST_F(Export, ReplacesEarlierExportsAndNothingElse) {
     if (files.back().extension() == ".pc2") {
       std::ofstream(files.back(), std::ios::app | std::ios::binary) << "x";
       EXPECT_THROW(export_frames(input_, format, folder_), Error);
-      EXPECT_NO_THROW(export_frames(input_, format, folder_, {}, true));
+      EXPECT_NO_THROW(export_frames(input_, format, folder_, {}, {.overwrite = true}));
     }
   }
   // Both caches' OBJ is one file.
