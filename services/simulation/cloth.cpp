@@ -142,7 +142,7 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
     const std::size_t particle = vertex_count() + o;
     velocities_[particle] = (obstacles[o] - positions_[particle]) / step_s;
   }
-  const auto forces = contact_.repulsion(positions_, velocities_, dynamics_.masses(), step_s, pool);
+  const auto forces = contact_.repulsion(positions_, velocities_, dynamics_.masses(), time_s, step_s, pool);
   const auto repulsion_done = Clock::now();
 
   Dynamics::Step step;

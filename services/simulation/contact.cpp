@@ -146,16 +146,27 @@ void ContactSystem::repel_from_capsule(const Pair& pair, const Points& x, std::v
 }
 
 std::vector<ContactForce> ContactSystem::repulsion(const Points& x, const Points& v, std::span<const double> masses,
-                                                   double step_s, ThreadPool& pool) {
+                                                   double time_s, double step_s, ThreadPool& pool) {
   // Pairs found for almost the same positions still hold everything within the thickness.
   bool reuse = pairs_end_.size() == x.size();
   for (std::size_t i = 0; reuse && i < x.size(); ++i) reuse = (x[i] - pairs_end_[i]).squaredNorm() <= slack_ * slack_;
   if (!reuse) find_pairs(x, x, pool);
 
   std::vector<ContactForce> forces;
+  const double grown = kLayerSpeed * time_s;
+  const bool grows = !start_lag_.empty() && grown < thickness_;
   const auto add = [&](const std::array<std::uint32_t, 4>& particles, const std::array<double, 4>& weights,
                        const Vector3d& normal, double distance, double area, double friction_coefficient) {
-    const double violation = thickness_ - distance;
+    double violation = thickness_ - distance;
+    if (grows && std::any_of(particles.begin(), particles.end(),
+                             [&](std::uint32_t particle) { return particle >= cloth_count_ && particle != kNone; })) {
+      double lag = 0;
+      for (std::size_t k = 0; k < 4; ++k) {
+        if (particles[k] < cloth_count_ && weights[k] != 0) lag = std::max(lag, start_lag_[particles[k]] - grown);
+      }
+      violation -= lag;
+      if (violation <= 0) return;
+    }
     const double stiffness = scene_.contact.stiffness * area;
     ContactForce c;
     Vector3d approach = Vector3d::Zero();

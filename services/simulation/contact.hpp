@@ -73,7 +73,9 @@ class ContactSystem {
   void obstacle_particles(double time_s, Points& particles) const;
 
   /// Throws kInvalidArgument, naming faces and obstacles, unless the positions (all particles) are free of
-  /// self-intersections and penetrations with some clearance.
+  /// self-intersections and penetrations with some clearance. Cloth that is nearer to an obstacle here than
+  /// where the repulsion layer carries its weight is not pushed out at once: its layer begins so thin that it stays
+  /// where it is, and grows by kLayerSpeed.
   void check_start(const Points& positions, ThreadPool& pool);
 
   /// Where the positions (all particles) are not clean: crossings, touches and vertices inside, in this order; every
@@ -81,10 +83,13 @@ class ContactSystem {
   std::vector<Violation> violations(const Points& positions, ThreadPool& pool);
   std::string describe(const Violation& violation) const;
 
-  /// Repulsion and friction for the step that starts at the positions. velocities: of all particles, the obstacles'
-  /// being those of the coming step. Uses the pairs found by the last resolve() if it ended at these positions.
+  static constexpr double kLayerSpeed = 0.01;  ///< m/s
+
+  /// Repulsion and friction for the step that starts at the positions, time_s after the start. velocities: of all
+  /// particles, the obstacles' being those of the coming step. Uses the pairs found by the last resolve() if it ended
+  /// at these positions.
   std::vector<ContactForce> repulsion(const Points& positions, const Points& velocities, std::span<const double> masses,
-                                      double step_s, ThreadPool& pool);
+                                      double time_s, double step_s, ThreadPool& pool);
 
   /// Changes `end` so that the linear motion from `start` (clean) to `end` is free of collisions.
   /// inverse_masses: of the cloth vertices; 0 for prescribed ones, which move as prescribed unless nothing else will
@@ -131,6 +136,7 @@ class ContactSystem {
   void repel_from_capsule(const Pair& pair, const Points& x, std::vector<std::uint32_t>& touched, const Add& add) const;
   void find_crossings(const Points& x, ThreadPool& pool, std::vector<Violation>& found) const;
   void find_touches(const Points& x, std::vector<Violation>& found) const;
+  void begin_layer(const Points& x);
   void find_inside(const Points& x, std::vector<Violation>& found) const;
   std::uint32_t obstacle_of(std::uint32_t particle) const;
   template <typename Use>
@@ -174,6 +180,7 @@ class ContactSystem {
   };
   std::vector<Round> rounds_;
   double thickness_ = 0;
+  std::vector<double> start_lag_;  // per cloth vertex: what its layer towards obstacles lacks at the start; or empty
   double slack_ = 0;  // metres that vertices may move after find_pairs before the pairs must be found again
 
   std::vector<Neighbours> neighbours_;

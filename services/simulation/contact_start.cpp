@@ -159,9 +159,31 @@ void ContactSystem::find_inside(const Points& x, std::vector<Violation>& found) 
       }
       violation.normal = way.normalized();
       violation.depth = std::sqrt(best) + kWantedClearance * thickness_;
+      // On the surface the winding number says nothing.
+      if (std::sqrt(best) <= kMinimumClearance) violation.kind = Violation::Kind::kTouch;
       found.push_back(violation);
     }
   }
+}
+
+// What is nearer to an obstacle than where the layer carries its weight. The pairs are those of violations().
+void ContactSystem::begin_layer(const Points& x) {
+  start_lag_.assign(cloth_count_, 0);
+  const double weight = scene_.material.density * scene_.density_multiplier * scene_.gravity.norm();  // N/m^2
+  const double carries = std::sqrt(2 * thickness_ * weight / scene_.contact.stiffness);
+  bool any = false;
+  for (const Pair& pair : pairs_) {
+    if (std::none_of(pair.v.begin(), pair.v.end(), [this](std::uint32_t v) { return v >= cloth_count_; })) continue;
+    const ClosestPoints points = closest(pair, x);
+    const double clearance = std::sqrt(points.squared_distance) - static_cast<double>(pair.minimum);
+    const double lag = thickness_ - carries - clearance;
+    for (std::size_t k = 0; k < 4; ++k) {
+      if (pair.v[k] >= cloth_count_ || std::abs(points.weights[k]) < 1e-6 || !(lag > start_lag_[pair.v[k]])) continue;
+      start_lag_[pair.v[k]] = lag;
+      any = true;
+    }
+  }
+  if (!any) start_lag_.clear();
 }
 
 std::vector<Violation> ContactSystem::violations(const Points& x, ThreadPool& pool) {
@@ -204,7 +226,7 @@ std::string ContactSystem::describe(const Violation& violation) const {
   }
   std::uint32_t cloth_vertex = kNone;
   for (std::size_t k = 0; k < 4; ++k) cloth_vertex = std::min(cloth_vertex, violation.particles[k]);
-  if (!obstacle.empty()) return "the cloth is inside or touches " + obstacle + " near vertex " + name(cloth_vertex);
+  if (!obstacle.empty()) return "the cloth touches " + obstacle + " near vertex " + name(cloth_vertex);
   // The first of either primitive: a vertex and a face, or two edges, never share one.
   return "the cloth touches itself between vertices " + name(violation.particles[0]) + " and " +
          name(violation.particles[2]);
@@ -224,7 +246,10 @@ void ContactSystem::check_start(const Points& x, ThreadPool& pool) {
     }
     message += (message.empty() ? "" : "; ") + text;
   }
-  if (message.empty()) return;
+  if (message.empty()) {
+    begin_layer(x);
+    return;
+  }
   if (unnamed > 0) message += "; and " + std::to_string(unnamed) + " more places";
   throw_invalid_argument("scene '" + scene_.name + "': not clean at the start" +
                          (scene_.untangle ? ", not even after untangling: " : ": ") + message);

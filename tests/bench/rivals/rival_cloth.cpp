@@ -120,7 +120,7 @@ void RivalCloth::frame(int steps) {
       start[v] = to_vector(x_[v]);
       velocities[v] = to_vector(v_[v]);
     }
-    advance(step_s, contact_->repulsion(start, velocities, masses_double_, step_s, pool_));
+    advance(step_s, contact_->repulsion(start, velocities, masses_double_, 0, step_s, pool_));
     for (std::size_t v = 0; v < vertices; ++v) end[v] = to_vector(x_[v]);
     const simulation::Resolution resolution = contact_->resolve(start, end, inverse_masses_double_, {}, pool_);
     if (resolution.impacts == 0) continue;

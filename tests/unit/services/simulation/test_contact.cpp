@@ -6,6 +6,7 @@
 #include "common/base/error.hpp"
 #include "common/mesh/closest_points.hpp"
 #include "common/mesh/triangle_intersection.hpp"
+#include "services/simulation/contact.hpp"
 #include "services/simulation/simulation.hpp"
 #include "tests/unit/services/simulation/garments.hpp"
 #include "tests/unit/services/simulation/judge.hpp"
@@ -218,6 +219,44 @@ void expect_refused(const Scene& scene, const std::string& culprit) {
   } catch (const Error& e) {
     EXPECT_EQ(e.code(), ErrorCode::kInvalidArgument);
     EXPECT_THAT(e.what(), HasSubstr(culprit));
+  }
+}
+
+TEST(Contact, ClothThatStartsOnASurfaceRisesSlowly) {
+  Scene scene = sheet_scene(4);
+  scene.perturbation_m = 0;
+  Obstacle table;
+  table.name = "table";
+  table.mesh = box_mesh(2);
+  scene.obstacles = {table};
+  for (const double clearance : {1e-4, 2e-3}) {
+    scene.transform.translation = {0, 1 + clearance, 0};
+    Simulation simulation(scene, Mode::kCoarse);
+    double before = clearance, last = 0;
+    for (int frame = 0; frame < 25; ++frame) {
+      const Positions x = simulation.next_frame().coarse.positions;
+      last = static_cast<double>(x.col(1).mean()) - 1;
+      EXPECT_LT(std::abs(last - before), 1.5 * ContactSystem::kLayerSpeed * scene.frame_time_s) << frame;
+      EXPECT_GT(static_cast<double>(x.col(1).minCoeff()) - 1, 0) << frame;
+      before = last;
+    }
+    EXPECT_GT(last, 4e-3) << "where the layer of 5 mm carries it";
+  }
+}
+
+TEST(Contact, ATouchIsNotCalledInside) {
+  Scene scene = sheet_scene(4);
+  Obstacle table;
+  table.name = "table";
+  table.mesh = box_mesh(2);
+  scene.obstacles = {table};
+  scene.transform.translation = {0, 1, 0};
+  try {
+    Simulation simulation(scene, Mode::kCoarse);
+    FAIL() << "accepted";
+  } catch (const Error& e) {
+    EXPECT_THAT(e.what(), HasSubstr("touches obstacle 'table'"));
+    EXPECT_THAT(e.what(), testing::Not(HasSubstr("inside")));
   }
 }
 
