@@ -13,9 +13,11 @@
 #include <optional>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/hash.hpp"
 #include "common/base/json.hpp"
+#include "common/base/limits.hpp"
 #include "common/base/text_file.hpp"
 #include "common/mesh/mesh_file.hpp"
 
@@ -27,7 +29,7 @@ using Json = nlohmann::json;
 
 static_assert(std::endian::native == std::endian::little, "glTF is little-endian, and is read as it is");
 
-constexpr std::size_t kMaxVertices = 4'000'000, kMaxCorners = 24'000'000, kMaxTargets = 1'000'000;
+constexpr std::size_t kMaxCorners = 3 * kMaxFaces, kMaxTargets = 1'000'000;
 constexpr std::uintmax_t kMaxBytes = std::uintmax_t{4} << 30;
 constexpr std::uint32_t kMagic = 0x46546C67, kJsonChunk = 0x4E4F534A, kBinaryChunk = 0x004E4942;
 constexpr int kMaxDepth = 64;
@@ -428,7 +430,7 @@ class GltfMesh final : public AnimatedMesh {
       const float* point = points.data() + 3 * first_point_[v];
       out.row(static_cast<Eigen::Index>(v)) << point[0], point[1], point[2];
     }
-    if (!out.allFinite())
+    if (!all_finite(out))
       throw_invalid_argument(document_.name() + ": frame " + std::to_string(frame) + " is not finite");
     return out;
   }

@@ -13,7 +13,9 @@
 #include <string_view>
 #include <utility>
 
+#include "common/base/checks.hpp"
 #include "common/base/error.hpp"
+#include "common/base/limits.hpp"
 #include "common/base/text_file.hpp"
 
 namespace pleat {
@@ -21,7 +23,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kMaxVertices = 4'000'000, kMaxCorners = 32'000'000;
+constexpr std::size_t kMaxCorners = 4 * kMaxFaces;
 constexpr std::size_t kMaxBytes = std::size_t{4} << 30;
 constexpr int kMaxDepth = 100;
 
@@ -346,7 +348,7 @@ class UsdMesh final : public AnimatedMesh {
               .cast<float>();
       begin += count;
     }
-    if (!out.allFinite()) fail("frame " + std::to_string(frame) + " is not finite");
+    if (!all_finite(out)) fail("frame " + std::to_string(frame) + " is not finite");
     return out;
   }
 
