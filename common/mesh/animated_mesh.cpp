@@ -5,14 +5,13 @@
 #include <numeric>
 
 #include "common/base/error.hpp"
+#include "common/base/limits.hpp"
 #include "common/mesh/gltf.hpp"
 #include "common/mesh/mesh_file.hpp"
 #include "common/mesh/usd_text.hpp"
 
 namespace pleat {
 namespace {
-
-constexpr std::size_t kMaxFrames = 1'000'000;
 
 bool is_gltf(const std::string& extension) { return extension == ".gltf" || extension == ".glb"; }
 bool is_usd(const std::string& extension) { return extension == ".usda" || extension == ".usd"; }
