@@ -143,12 +143,24 @@ Topology make_slab(const Topology& sheet, const Connectivity& connectivity) {
   return slab;
 }
 
+void turn_outwards(Topology& mesh, double volume, const std::string& name, std::vector<std::string>& notes) {
+  if (!(volume < 0)) return;
+  mesh.faces.col(1).swap(mesh.faces.col(2));
+  if (mesh.uv_faces.rows() > 0) mesh.uv_faces.col(1).swap(mesh.uv_faces.col(2));
+  notes.push_back(name + ": its faces look inwards; they were turned over");
+}
+
 }  // namespace
 
 Topology close_holes(Topology mesh, bool keep_vertices, const std::string& name, std::vector<std::string>& notes) {
   const Connectivity connectivity = build_connectivity(mesh.vertex_count(), mesh.faces);
   const std::vector<Loop> loops = find_loops(connectivity);
-  if (loops.empty()) return mesh;
+  if (loops.empty()) {
+    const bool closed = std::none_of(connectivity.edges.begin(), connectivity.edges.end(),
+                                     [](const Edge& edge) { return edge.f1 == kNone; });
+    if (closed) turn_outwards(mesh, measure(mesh.rest_positions, mesh.faces).volume, name, notes);
+    return mesh;
+  }
   std::set<std::pair<std::uint32_t, std::uint32_t>> edges;
   for (const Edge& edge : connectivity.edges) edges.insert(std::minmax(edge.v0, edge.v1));
   Triangles lids;
@@ -177,6 +189,7 @@ Topology close_holes(Topology mesh, bool keep_vertices, const std::string& name,
   }
   notes.push_back(name + ": " + std::to_string(loops.size()) + (loops.size() == 1 ? " hole" : " holes") + " of " +
                   std::to_string(corners) + " edges in all " + (loops.size() == 1 ? "was" : "were") + " closed");
+  turn_outwards(closed, m.volume, name, notes);
   return closed;
 }
 

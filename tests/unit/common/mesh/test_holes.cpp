@@ -50,6 +50,20 @@ TEST(Holes, BodiesGetLids) {
   EXPECT_TRUE(notes.empty());
 }
 
+TEST(Holes, ABodyThatIsInsideOutIsTurnedOver) {
+  const Topology whole = read_obj(kCase / "closed.obj", MeshUse::kObstacle);
+  for (const char* file : {"inside-out.obj", "small-hole.obj"}) {
+    Topology body = read_obj(kCase / file, MeshUse::kObstacle);
+    if (volume(body) > 0) body.faces.col(1).swap(body.faces.col(2));
+    std::vector<std::string> notes;
+    const Topology turned = close_holes(body, true, file, notes);
+    EXPECT_NEAR(volume(turned), volume(whole), 0.01 * volume(whole)) << file;
+    ASSERT_FALSE(notes.empty());
+    EXPECT_NE(notes.back().find("look inwards"), std::string::npos) << notes.back();
+    EXPECT_NO_THROW(validate_topology(turned, file));
+  }
+}
+
 TEST(Holes, ASheetBecomesASlabBehindIt) {
   for (const bool upside_down : {false, true}) {
     Topology ground = read_obj(kCase / "ground-quad.obj", MeshUse::kObstacle);
