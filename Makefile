@@ -15,7 +15,7 @@ SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 FUZZ_SECONDS ?= 120
 CRASH_MINUTES ?= 100
 SOAK_MINUTES ?= 60
-FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine
+FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine fuzz_obj fuzz_ply fuzz_points fuzz_hdf5 fuzz_scene fuzz_material fuzz_archive
 
 .PHONY: help setup configure build programs demo test bench lint format sanitize fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install deb python
 
@@ -89,7 +89,7 @@ sanitize: setup ## build with address and undefined-behaviour sanitizers and run
 	@cmake --preset asan-ubsan >/dev/null && cmake --build --preset asan-ubsan -j $(JOBS)
 	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 ctest --test-dir build-asan --output-on-failure -LE 'browser|bench'
 
-fuzz: setup ## fuzz the inputs of conversion, fold step and refinement, FUZZ_SECONDS each (tests/fuzz/README.md)
+fuzz: setup ## fuzz the inputs of services and the readers of files, FUZZ_SECONDS each (tests/fuzz/README.md)
 	@$(MAKE) --no-print-directory setup PACKAGES="clang libclang-rt-14-dev"
 	@cmake --preset fuzz >build-fuzz-configure.log 2>&1 || { cat build-fuzz-configure.log; exit 1; }; rm -f build-fuzz-configure.log
 	@cmake --build build-fuzz -j $(JOBS) --target $(FUZZERS)

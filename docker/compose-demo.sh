@@ -29,7 +29,7 @@ cleanup() {
 }
 trap cleanup EXIT
 deploy/certificates/make-certificates.sh "$certificates" coordinator localhost 127.0.0.1 >/dev/null
-chmod 755 "$certificates" && chmod 644 "$certificates"/{ca,server,client}.crt "$certificates"/{server,client}.key
+chmod 755 "$certificates" "$certificates/service" && chmod 644 "$certificates"/service/* "$certificates"/{ca,client}.crt "$certificates/client.key"
 
 echo "compose-demo: starting the services"
 compose up -d --no-build 2>&1 | tail -n 8

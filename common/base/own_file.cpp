@@ -1,6 +1,7 @@
 #include "common/base/own_file.hpp"
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -46,6 +47,12 @@ void set_aside(const fs::path& path) {
   }
   throw Error(ErrorCode::kResourceExhausted,
               path.string() + ": is in the way and can't be set aside: " + std::strerror(errno));
+}
+
+void take_over(const fs::path& file) {
+  const mode_t mask = ::umask(0);
+  ::umask(mask);
+  ::chmod(file.c_str(), 0666 & ~mask);
 }
 
 void make_writable_folder(const fs::path& folder) {

@@ -24,6 +24,9 @@ void require_absent_or(bool own, const std::filesystem::path& path);
 /// way and may be somebody's. Throws kResourceExhausted, naming it, if that can't be.
 void set_aside(const std::filesystem::path& path);
 
+/// Gives the file the mode of any file that this process makes: for one that comes from a folder of private files.
+void take_over(const std::filesystem::path& file);
+
 /// Makes the folder. Throws kInvalidArgument, naming it, if that can't be, something else lies there, it can't be
 /// written, or it is the root of the file system.
 void make_writable_folder(const std::filesystem::path& folder);

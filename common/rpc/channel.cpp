@@ -6,31 +6,15 @@
 #include <grpcpp/security/credentials.h>
 
 #include <algorithm>
-#include <fstream>
-#include <iterator>
 #include <thread>
 
 #include "common/base/error.hpp"
 #include "common/base/runtime_folder.hpp"
+#include "common/rpc/certificates.hpp"
 #include "common/rpc/frame_bytes.hpp"
-#include "common/rpc/pem.hpp"
 #include "health.grpc.pb.h"
 
 namespace pleat::rpc {
-
-std::string read_pem(const std::string& path) {
-  std::ifstream stream(path, std::ios::binary);
-  if (!stream) throw_not_found(path + ": can't be read");
-  std::string text((std::istreambuf_iterator<char>(stream)), {});
-  if (text.find("-----BEGIN") == std::string::npos) throw_invalid_argument(path + ": not a PEM file");
-  return text;
-}
-
-void check_tls(const TlsOptions& tls) {
-  if (tls.ca_file.empty() || tls.certificate_file.empty() || tls.key_file.empty()) {
-    throw_invalid_argument("TLS needs a CA, a certificate and a key, all three");
-  }
-}
 
 bool is_unix_address(const std::string& address) {
   return address.starts_with("unix:") || address.starts_with("unix-abstract:");
@@ -67,12 +51,7 @@ std::shared_ptr<grpc::Channel> create_channel(const std::string& address, const 
   std::shared_ptr<grpc::ChannelCredentials> credentials;
   grpc::ChannelArguments arguments;
   if (tls.enabled()) {
-    check_tls(tls);
-    grpc::SslCredentialsOptions ssl;
-    ssl.pem_root_certs = read_pem(tls.ca_file);
-    ssl.pem_cert_chain = read_pem(tls.certificate_file);
-    ssl.pem_private_key = read_pem(tls.key_file);
-    credentials = grpc::SslCredentials(ssl);
+    credentials = channel_credentials(tls);
     if (!tls.server_name.empty()) arguments.SetSslTargetNameOverride(tls.server_name);
   } else {
     if (!is_local_address(address)) throw_invalid_argument("address " + address + " is not local and needs TLS");

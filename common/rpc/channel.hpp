@@ -12,12 +12,15 @@ namespace pleat::rpc {
 /// On both sides; a longer message ends the call with RESOURCE_EXHAUSTED.
 inline constexpr int kMaxMessageBytes = 64 * 1024 * 1024;
 
-/// PEM files. All three or none: with a client certificate both sides are verified (mTLS).
+/// Who we are, and whom we trust. PEM files: all three or none: with a client certificate both sides are verified
+/// (mTLS).
 struct TlsOptions {
   std::string ca_file;
   std::string certificate_file;
   std::string key_file;
   std::string server_name;  ///< client only: name in the server's certificate, if it is not the address
+  std::string token_file;   ///< client only: its token's file, for a coordinator that wants one; empty: none
+  std::string crl_file;     ///< server only: certificates of the authority that don't count any more; empty: none
 
   bool enabled() const { return !ca_file.empty() || !certificate_file.empty() || !key_file.empty(); }
 };

@@ -26,8 +26,8 @@
 #include "common/base/exit_codes.hpp"
 #include "common/base/freed_memory.hpp"
 #include "common/base/runtime_folder.hpp"
+#include "common/rpc/certificates.hpp"
 #include "common/rpc/frame_bytes.hpp"
-#include "common/rpc/pem.hpp"
 
 namespace pleat::rpc {
 namespace {
@@ -66,7 +66,7 @@ std::string socket_path(const std::string& address) {
   return path;
 }
 
-std::shared_ptr<grpc::ServerCredentials> server_credentials(const ServerOptions& options) {
+std::shared_ptr<grpc::ServerCredentials> credentials_of(const ServerOptions& options) {
   if (!options.tls.enabled()) {
     if (!is_local_address(options.listen)) {
       throw_invalid_argument("listen address " + options.listen +
@@ -74,11 +74,7 @@ std::shared_ptr<grpc::ServerCredentials> server_credentials(const ServerOptions&
     }
     return grpc::InsecureServerCredentials();
   }
-  check_tls(options.tls);
-  grpc::SslServerCredentialsOptions ssl(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
-  ssl.pem_root_certs = read_pem(options.tls.ca_file);
-  ssl.pem_key_cert_pairs.push_back({read_pem(options.tls.key_file), read_pem(options.tls.certificate_file)});
-  return grpc::SslServerCredentials(ssl);
+  return server_credentials(options.tls);
 }
 
 }  // namespace
@@ -88,6 +84,7 @@ void add_options(config::Options& options, ServerOptions& server) {
       .add("tls-ca", server.tls.ca_file, "PEM file of the authority that signs clients' certificates")
       .add("tls-certificate", server.tls.certificate_file, "PEM file of this service's certificate")
       .add("tls-key", server.tls.key_file, "PEM file of its key")
+      .add("tls-crl", server.tls.crl_file, "PEM file of the certificates that the authority has revoked")
       .add("reflection", server.reflection, "offer gRPC reflection")
       .add("metrics-listen", server.metrics_listen, "Prometheus endpoint 127.0.0.1:PORT; empty: none")
       .add("metrics-anywhere", server.metrics_anywhere, "allow a metrics address beyond loopback (containers)")
@@ -133,7 +130,7 @@ Server::Server(const ServerOptions& options, const std::vector<HostedService>& s
 
   grpc::ServerBuilder builder;
   int port = 0;
-  builder.AddListeningPort(options.listen, server_credentials(options), &port);
+  builder.AddListeningPort(options.listen, credentials_of(options), &port);
   builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_FRAME_SIZE, kHttp2FrameBytes);
@@ -164,11 +161,19 @@ Server::Server(const ServerOptions& options, const std::vector<HostedService>& s
   for (const HostedService& hosted : services) {
     state_->server->GetHealthCheckService()->SetServingStatus(hosted.name, true);
   }
+  show_room();
 }
 
 Server::~Server() { stop(); }
 
 const std::string& Server::address() const { return state_->address; }
+
+void Server::show_room() {
+  for (const HostedService& hosted : state_->services) {
+    if (!hosted.has_room) continue;
+    state_->server->GetHealthCheckService()->SetServingStatus(hosted.name + ".room", hosted.has_room());
+  }
+}
 
 void Server::stop() {
   std::call_once(state_->stopped, [&] {
@@ -203,8 +208,9 @@ int run_server(const ServerOptions& options, const std::vector<HostedService>& s
   std::fflush(stdout);
 
   const sigset_t signals = stop_signals();
+  constexpr timespec kRoomInterval{0, 250'000'000};
   int signal = 0;
-  sigwait(&signals, &signal);
+  while ((signal = sigtimedwait(&signals, nullptr, &kRoomInterval)) < 0) server.show_room();
   spdlog::info("{}: draining for at most {} s", strsignal(signal), options.drain_s);
   std::thread impatient([signals, limit = static_cast<time_t>(options.drain_s) + 10] {
     // A second signal, or a handler that ignores being cancelled, ends the process without further ado.

@@ -36,8 +36,7 @@ struct ServerOptions {
 };
 
 /// Adds the flags of ServerOptions: --listen, --metrics-listen, --metrics-anywhere, --tls-ca, --tls-certificate,
-/// --tls-key, --reflection,
-/// --drain-s, --max-threads, --die-with-parent, --log-level, --log-format.
+/// --tls-key, --tls-crl, --reflection, --drain-s, --max-threads, --die-with-parent, --log-level, --log-format.
 void add_options(config::Options& options, ServerOptions& server);
 
 /// A service with its full name ("pleat.v1.Refinement"), which is what health checks ask for.
@@ -46,6 +45,9 @@ struct HostedService {
   std::string name;
   /// Called once when stopping begins; should make long calls end soon. May be empty.
   std::function<void()> drain = {};
+  /// Whether there is room for more work, as the health of NAME.room tells: not of NAME itself, because who does not
+  /// serve is replaced. May be empty.
+  std::function<bool()> has_room = {};
 };
 
 /// A running server; for tests and for processes with a life of their own. Services must outlive it.
@@ -62,6 +64,9 @@ class Server {
 
   /// The address for clients, with the chosen port.
   const std::string& address() const;
+
+  /// Asks the services whether they have room; NAME.room is SERVING if so. To be called now and then.
+  void show_room();
 
   /// Health to NOT_SERVING and drain callbacks; then sessions have `drain_s` to end, if `sessions` is there to count
   /// them; then everything is cancelled. A client that only keeps its connection costs no time. Idempotent.

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "common/base/bounded_text.hpp"
+#include "common/rpc/caller.hpp"
 
 namespace pleat::rpc {
 namespace {
@@ -37,7 +38,9 @@ ErrorCode to_error_code(grpc::StatusCode code) {
   for (const auto& [ours, theirs] : kCodes) {
     if (theirs == code) return ours;
   }
-  return ErrorCode::kInternal;
+  // Who is not known, or not allowed, is told so; another call of theirs ends the same.
+  const bool refused = code == grpc::StatusCode::UNAUTHENTICATED || code == grpc::StatusCode::PERMISSION_DENIED;
+  return refused ? ErrorCode::kFailedPrecondition : ErrorCode::kInternal;
 }
 
 static_assert(kMaxMessageCharacters == kMaxTextCharacters);
@@ -63,6 +66,8 @@ void throw_if_failed(const grpc::Status& status, const std::string& peer) {
 grpc::Status current_exception_status() {
   try {
     throw;
+  } catch (const CallRefused& refused) {
+    return {refused.status(), bounded(refused.what())};
   } catch (const Error& error) {
     return to_status(error);
   } catch (const std::bad_alloc&) {

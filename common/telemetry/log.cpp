@@ -57,4 +57,14 @@ void set_up_logging(const std::string& service, const LogOptions& options) {
   spdlog::set_default_logger(logger);
 }
 
+void audit(const std::string& line) {
+  const auto logger = spdlog::default_logger();
+  const std::string text = "audit: " + line;
+  const spdlog::details::log_msg message(logger->name(), spdlog::level::info, text);
+  for (const auto& sink : logger->sinks()) {
+    sink->log(message);
+    sink->flush();
+  }
+}
+
 }  // namespace pleat::telemetry

@@ -16,4 +16,7 @@ struct LogOptions {
 /// Throws kInvalidArgument for an unknown level or format.
 void set_up_logging(const std::string& service, const LogOptions& options);
 
+/// A line "audit: ..." in the log, whatever level was chosen: who did what is kept.
+void audit(const std::string& line);
+
 }  // namespace pleat::telemetry

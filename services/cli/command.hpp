@@ -30,8 +30,9 @@ std::vector<Command> add_body(CLI::App& root);
 std::vector<Command> add_dress(CLI::App& root);
 std::vector<Command> add_eval(CLI::App& root);
 std::vector<Command> add_bench(CLI::App& root);
+std::vector<Command> add_jobs(CLI::App& root);
 
-/// --tls-ca, --tls-certificate, --tls-key, --tls-server-name, for coordinators on other hosts.
+/// --tls-ca, --tls-certificate, --tls-key, --tls-server-name, --token-file: who we are to a coordinator.
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls);
 
 /// --json; `what`: the form of what is printed.

@@ -25,6 +25,7 @@ namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
 constexpr double kDefaultFramesPerSecond = 25;
+constexpr std::chrono::milliseconds kPatience{60'000};  // a service that is started again takes its time
 constexpr std::uint64_t kAllFrames = ~std::uint64_t{0};
 
 struct EnhanceOptions {
@@ -105,6 +106,11 @@ int enhance(EnhanceOptions options) {
   client::Client client(address, options.tls);
   client.wait_ready(std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
 
+  const auto while_away = [&launcher] {
+    if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
+    if (!launcher) return;
+    for (const std::string& line : launcher->supervise()) std::fprintf(stderr, "%s\n", line.c_str());
+  };
   const std::vector<ObstacleShape> shapes = own_obstacles ? obstacles.shapes() : sequence->obstacle_shapes();
   client::EnhanceSession session = client.enhance({.coarse = client::from_topology(rest),
                                                    .model = model.name,
@@ -114,7 +120,9 @@ int enhance(EnhanceOptions options) {
                                                    .subdivision_rounds = options.rounds,
                                                    .detail = launcher ? detail : detail_named(options.detail),
                                                    .material_json = material,
-                                                   .held = options.held});
+                                                   .held = options.held,
+                                                   .patience = kPatience,
+                                                   .away = while_away});
   const client::SessionInfo& info = session.info();
   say("session of " + std::to_string(count) + " frames at " + address + ": " + std::to_string(rest.vertex_count()) +
       " -> " + std::to_string(info.fine.vertex_count()) + " vertices, detail " + std::string(name_of(info.detail)) +
@@ -135,7 +143,7 @@ int enhance(EnhanceOptions options) {
     session.run(
         count,
         [&](std::uint64_t k) {
-          if (interrupted()) throw Error(ErrorCode::kCancelled, "interrupted");
+          while_away();
           client::CoarseFrame coarse;
           coarse.index = k;
           coarse.time_s = frame_time * static_cast<double>(k);

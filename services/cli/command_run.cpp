@@ -186,6 +186,7 @@ class Run {
       if (!hdf5::is_own(to)) set_aside(to);
       fs::rename(from, to, failed);
       if (failed) throw Error(ErrorCode::kResourceExhausted, to.string() + ": " + failed.message());
+      take_over(to);
       kept = to;
       break;
     }

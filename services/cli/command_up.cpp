@@ -12,7 +12,7 @@ namespace pleat::cli {
 namespace {
 
 struct UpOptions {
-  std::string listen, models, metrics_listen, data;
+  std::string listen, models, metrics_listen, data, token_file;
   double answer_timeout_s = 20;
 };
 
@@ -26,6 +26,7 @@ int up(const UpOptions& options) {
   launch.logs = launch.data / "logs";
   launch.listen = options.listen;
   launch.metrics_listen = options.metrics_listen;
+  launch.token_file = options.token_file;
   launch.patience = std::chrono::milliseconds(std::lround(options.answer_timeout_s * 1000));
   Launcher launcher(launch);
   for (const Launcher::Service& service : launcher.services())
@@ -56,6 +57,9 @@ std::vector<Command> add_up(CLI::App& root) {
       ->capture_default_str()
       ->check(positive_number());
   app->add_option("--metrics-listen", options->metrics_listen, "Prometheus endpoint of the coordinator, HOST:PORT");
+  app->add_option("--token-file", options->token_file,
+                  "file of NAME ROLE TOKEN, mode 0600: who may call; for --listen with a port, which all users of this "
+                  "host reach");
   return {{app, [options] { return up(*options); }}};
 }
 

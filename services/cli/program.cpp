@@ -46,13 +46,15 @@ void add_verbosity(CLI::App& app, bool& quiet, bool& verbose) {
 }  // namespace
 
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls) {
-  const auto group = app.add_option_group("TLS", "for a coordinator on another host");
+  const auto group = app.add_option_group("Identity", "for a coordinator on another host, or one that wants a token");
   group->add_option("--tls-ca", tls.ca_file, "certificate authority, PEM file")->envname("PLEAT_TLS_CA");
   group->add_option("--tls-certificate", tls.certificate_file, "this client's certificate, PEM file")
       ->envname("PLEAT_TLS_CERTIFICATE");
   group->add_option("--tls-key", tls.key_file, "its key, PEM file")->envname("PLEAT_TLS_KEY");
   group->add_option("--tls-server-name", tls.server_name, "name in the server's certificate, if it is not the address")
       ->envname("PLEAT_TLS_SERVER_NAME");
+  group->add_option("--token-file", tls.token_file, "file with this client's token, where the coordinator wants one")
+      ->envname("PLEAT_TOKEN_FILE");
 }
 
 void add_json_option(CLI::App& app, bool& json, const std::string& what) { app.add_flag("--json", json, what); }
@@ -72,7 +74,7 @@ int run_pleat(int argc, const char* const* argv) {
   root.require_subcommand(0, 1);
   std::vector<Command> commands;
   for (const auto add : {add_up, add_run, add_simulate, add_enhance, add_check, add_export, add_body, add_dress,
-                         add_dataset, add_eval, add_bench, add_bridge, add_health})
+                         add_dataset, add_eval, add_bench, add_bridge, add_jobs, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
   root.footer(kFooter);
   bool quiet = false, verbose = false;

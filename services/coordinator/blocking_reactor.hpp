@@ -5,6 +5,7 @@
 
 #include <grpcpp/grpcpp.h>
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <functional>
@@ -69,11 +70,19 @@ class BlockingWrites : public Base {
     return gone_;
   }
 
-  /// What follows the next write goes through shared memory, both ways, if the client offers it for this window.
-  void share_memory(std::uint32_t window) {
+  /// What follows the next write goes through shared memory, both ways, if the client offers it for this window. What
+  /// lies there has no write that waits: reads look whether it is taken within `reader_timeout`.
+  void share_memory(std::uint32_t window, Duration reader_timeout) {
     auto shared = rpc::accept_shared_frames(*context_, window);
     const std::lock_guard lock(mutex_);
     shared_ = std::move(shared);
+    reader_timeout_ = reader_timeout;
+  }
+
+  /// Whether a read has ended because the client did not take what lies in the shared memory.
+  bool left_untaken() const {
+    const std::lock_guard lock(mutex_);
+    return left_untaken_;
   }
 
   /// Nothing waits for the client any more. From any thread.
@@ -113,8 +122,9 @@ class BlockingWrites : public Base {
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::unique_ptr<rpc::SharedFrames> shared_;
+  Duration reader_timeout_{};
   bool sharing_ = false;
-  bool interrupted_ = false, timed_out_ = false;
+  bool interrupted_ = false, timed_out_ = false, left_untaken_ = false;
 
  private:
   void OnWriteDone(bool ok) override {
@@ -195,16 +205,25 @@ class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Requ
       : BlockingWrites<grpc::ServerBidiReactor<Request, Response>, Response>(context) {}
 
   const Request* read_shared(std::unique_lock<std::mutex>& lock, Duration timeout) {
-    const auto deadline = std::chrono::steady_clock::now() + timeout;
+    using Clock = std::chrono::steady_clock;
+    const auto deadline = Clock::now() + timeout;
     while (true) {
       const std::uint32_t rings = this->shared_->rings();
       const bool closed = this->shared_->closed();
       if (this->interrupted_) return nullptr;
       if (this->shared_->available()) break;
-      this->timed_out_ = std::chrono::steady_clock::now() >= deadline;
+      const auto now = Clock::now();
+      const std::uint32_t taken = this->shared_->taken();
+      const bool waits = this->shared_->on_their_way() > 0;
+      if (!waits || !waited_ || taken != taken_) taken_at_ = now;
+      taken_ = taken;
+      waited_ = waits;
+      this->left_untaken_ = waits && now >= taken_at_ + this->reader_timeout_;
+      this->timed_out_ = this->left_untaken_ || now >= deadline;
       if (closed || this->timed_out_) return nullptr;
       lock.unlock();
-      this->shared_->wait(rings, deadline);
+      // Nobody rings here when an answer is sent or taken.
+      this->shared_->wait(rings, std::min(deadline, taken_at_ + this->reader_timeout_));
       lock.lock();
     }
     lock.unlock();
@@ -224,6 +243,9 @@ class BlockingReactor final : public BlockingWrites<grpc::ServerBidiReactor<Requ
 
   Request request_;
   bool reading_ = false, ended_ = false, undecodable_ = false;
+  bool waited_ = false;      ///< whether answers lay in the shared memory when a read last looked
+  std::uint32_t taken_ = 0;  ///< by the client, at that time, and since when it has been so
+  std::chrono::steady_clock::time_point taken_at_{};
 };
 
 }  // namespace pleat::coordinator

@@ -86,7 +86,11 @@ std::string to_json(const JobRecord& record) {
                                     {"frame_errors", record.frame_errors},
                                     {"pinched_frames", record.pinched_frames},
                                     {"pinch_depth_m", record.pinch_depth_m},
-                                    {"warnings", record.warnings}};
+                                    {"warnings", record.warnings},
+                                    {"owner", record.owner},
+                                    {"created_s", record.created_s},
+                                    {"ended_s", record.ended_s},
+                                    {"bytes", record.bytes}};
   // Messages may quote what a client sent: what is not UTF-8 must not stop a record from being written.
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
@@ -120,6 +124,10 @@ JobRecord job_from_json(const std::string& text, const std::string& origin) {
     record.pinched_frames = json.value("pinched_frames", 0U);  // older records have neither of these
     record.pinch_depth_m = json.value("pinch_depth_m", 0.0F);
     record.warnings = json.value("warnings", record.warnings);
+    record.owner = json.value("owner", std::string());
+    record.created_s = json.value("created_s", 0.0);
+    record.ended_s = json.value("ended_s", 0.0);
+    record.bytes = json.value("bytes", std::uint64_t{0});
     if (!is_valid_job_id(record.id)) throw_data_loss("bad job id");
     return record;
   } catch (const std::exception& e) {

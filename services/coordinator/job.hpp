@@ -43,6 +43,10 @@ struct JobRecord {
   std::uint32_t pinched_frames = 0;   ///< with cloth between parts of an obstacle that left no room for it
   float pinch_depth_m = 0;            ///< how far the obstacle stayed behind its script for that at most, metres
   std::vector<std::string> warnings;  ///< of the simulation, a line each, each once
+  std::string owner;                  ///< rpc::Caller::name; empty: made by a coordinator that knew no owners
+  double created_s = 0;               ///< Unix time
+  double ended_s = 0;                 ///< Unix time; 0: it has not, or that was not written down
+  std::uint64_t bytes = 0;            ///< of its folder; before the end what is expected at most
 
   bool operator==(const JobRecord&) const = default;
 };

@@ -1,6 +1,9 @@
 #include "services/coordinator/job_runner.hpp"
 
+#include <spdlog/spdlog.h>
+
 #include <algorithm>
+#include <cstdio>
 #include <cstring>
 #include <utility>
 
@@ -9,6 +12,7 @@
 #include "common/frame/representation_messages.hpp"
 #include "common/scene/animation_parts.hpp"
 #include "common/store/result.hpp"
+#include "common/telemetry/log.hpp"
 
 namespace pleat::coordinator {
 namespace {
@@ -17,6 +21,22 @@ namespace fs = std::filesystem;
 
 constexpr char kCheckpointMagic[8] = {'P', 'L', 'E', 'A', 'T', 'C', 'P', '2'};
 constexpr auto kCancelWait = std::chrono::seconds(5);
+constexpr auto kSweepInterval = std::chrono::minutes(1);
+
+/// What the files of a job take at most, before they are compressed: both meshes of every frame, and a second file with
+/// the reference, which exists beside the first one for a while.
+std::uint64_t bytes_of_job(std::uint64_t frames, std::uint64_t coarse_vertices, std::uint64_t fine_vertices,
+                           bool reference) {
+  constexpr std::uint64_t kBytesPerVertex = 3 * sizeof(float);
+  const std::uint64_t vertices = coarse_vertices + fine_vertices;
+  return frames * kBytesPerVertex * (reference ? 2 * vertices + fine_vertices : vertices);
+}
+
+std::string gigabytes(double bytes) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g GB", bytes * 1e-9);
+  return text;
+}
 
 Animations share_animations(v1::Scene& scene) {
   return std::make_shared<const std::vector<v1::AnimationPart>>(take_animations(scene));
@@ -73,14 +93,16 @@ JobRunner::JobRunner(JobTable& table, ServiceAddresses addresses, LinkOptions li
   for (std::size_t i = 0; i < std::max<std::size_t>(1, settings_.concurrency); ++i) {
     workers_.emplace_back([this] { work(); });
   }
+  if (settings_.keep_days > 0) sweeper_ = std::thread([this] { sweep(); });
 }
 
 JobRunner::~JobRunner() {
   stop();
   for (std::thread& worker : workers_) worker.join();
+  if (sweeper_.joinable()) sweeper_.join();
 }
 
-JobRecord JobRunner::create(v1::CreateJobRequest request) {
+JobRecord JobRunner::create(v1::CreateJobRequest request, const std::string& owner) {
   if (stopping()) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
   if (!request.has_scene()) throw_invalid_argument("scene: is missing");
   v1::Scene& scene = *request.mutable_scene();
@@ -104,11 +126,12 @@ JobRecord JobRunner::create(v1::CreateJobRequest request) {
                  .frames = scene.frames(),
                  .reference = request.reference(),
                  .model = request.model(),
-                 .request = request.SerializeAsString()};
+                 .request = request.SerializeAsString(),
+                 .owner = owner};
   // A request that is sent again asks the services for nothing.
   const bool known = !job.id.empty() && table_.contains(job.id);
   if (!known) {
-    require_room();
+    require_room(owner);
     const auto never = [] { return false; };
     const v1::ModelDescription model =
         uses_network(request.detail()) ? describe_model(addresses_, link_, request.model(), never) : without_model();
@@ -120,8 +143,12 @@ JobRecord JobRunner::create(v1::CreateJobRequest request) {
                              .link = link_});
     const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
     const v1::Representation representation = representation_of(scene, request.detail(), model);
-    admit(coarse.vertex_count(), subdivision_from(representation).rounds, settings_.max_vertices,
-          "scene '" + scene.name() + "'");
+    const std::string named = "scene '" + scene.name() + "'";
+    const std::int64_t fine_vertices =
+        admit(coarse.vertex_count(), subdivision_from(representation).rounds, settings_.max_vertices, named);
+    job.bytes = bytes_of_job(scene.frames(), static_cast<std::uint64_t>(coarse.vertex_count()),
+                             static_cast<std::uint64_t>(fine_vertices), request.reference());
+    admit_bytes(owner, named, job.bytes);
     if (!model.topology_hash().empty() && model.topology_hash() != topology_hash(coarse)) {
       throw Error(ErrorCode::kFailedPrecondition, "bundle " + model.model() + " was trained for another mesh (" +
                                                       model.topology_hash() + ", the scene's is " +
@@ -140,10 +167,65 @@ JobRecord JobRunner::create(v1::CreateJobRequest request) {
   return record;
 }
 
-void JobRunner::require_room() const {
+void JobRunner::require_room(const std::string& owner) const {
+  if (settings_.max_jobs_each > 0) {
+    const std::size_t unfinished = table_.holdings(owner).unfinished;
+    if (unfinished >= settings_.max_jobs_each) {
+      throw Error(ErrorCode::kResourceExhausted,
+                  owner + " has " + std::to_string(unfinished) + " jobs that have not ended already");
+    }
+  }
+  if (!full()) return;
+  throw Error(ErrorCode::kResourceExhausted, std::to_string(settings_.max_queued) + " jobs are waiting already");
+}
+
+bool JobRunner::full() const {
   const std::lock_guard lock(mutex_);
-  if (queue_.size() < settings_.max_queued) return;
-  throw Error(ErrorCode::kResourceExhausted, std::to_string(queue_.size()) + " jobs are waiting already");
+  return queue_.size() >= settings_.max_queued;
+}
+
+void JobRunner::admit_bytes(const std::string& owner, const std::string& scene, std::uint64_t bytes) const {
+  const auto needed = static_cast<double>(bytes);
+  if (settings_.max_gb_each > 0) {
+    const auto held = static_cast<double>(table_.holdings(owner).bytes);
+    if (held + needed > settings_.max_gb_each * 1e9) {
+      throw Error(ErrorCode::kResourceExhausted, scene + " needs up to " + gigabytes(needed) + "; the jobs of " +
+                                                     owner + " have " + gigabytes(held) + " of " +
+                                                     gigabytes(settings_.max_gb_each * 1e9));
+    }
+  }
+  const auto free = static_cast<double>(table_.free_bytes()), promised = static_cast<double>(table_.promised_bytes());
+  if (needed + promised > free) {
+    throw Error(ErrorCode::kResourceExhausted, scene + " needs up to " + gigabytes(needed) + " on disk; " +
+                                                   gigabytes(std::max(0.0, free - promised)) + " are left");
+  }
+}
+
+/// Removes what ended longer ago than jobs are kept, until the runner stops.
+void JobRunner::sweep() {
+  const double age_s = settings_.keep_days * 86'400;
+  std::unique_lock lock(mutex_);
+  while (!stopping_) {
+    lock.unlock();
+    const double now = std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+    for (const JobRecord& record : table_.list()) {
+      if (!has_ended(record.state) || record.ended_s == 0 || now - record.ended_s < age_s) continue;
+      try {
+        table_.remove(record.id);
+        telemetry::audit("job " + record.id + " of " + record.owner + " removed: it ended long enough ago");
+      } catch (const Error& error) {
+        spdlog::warn("{}", error.what());
+      }
+    }
+    lock.lock();
+    changed_.wait_for(lock, kSweepInterval, [this] { return stopping_; });
+  }
+}
+
+std::uint32_t JobRunner::queue_place(const std::string& id) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = std::find(queue_.begin(), queue_.end(), id);
+  return found == queue_.end() ? 0 : static_cast<std::uint32_t>(found - queue_.begin()) + 1;
 }
 
 /// With mutex_.
@@ -225,15 +307,16 @@ void JobRunner::execute(ActiveJob& job) {
       table_.update(job.id, [](JobRecord& record) { record.state = JobState::kReference; });
       simulate_reference(job, request, animations);
     }
+    // A job that is taken up again from here has its whole result, and needs none of these.
+    for (const char* scratch : {"bundle.pb", "checkpoint.bin", "reference_checkpoint.bin"}) {
+      std::error_code ignored;
+      fs::remove(table_.folder(job.id) / scratch, ignored);
+    }
     table_.update(job.id, [](JobRecord& record) {
       record.state = JobState::kDone;
       record.frames_complete = record.frames;
       record.reference_frames_complete = record.reference ? record.frames : 0;
     });
-    for (const char* scratch : {"bundle.pb", "checkpoint.bin", "reference_checkpoint.bin"}) {
-      std::error_code ignored;
-      fs::remove(table_.folder(job.id) / scratch, ignored);
-    }
   } catch (const Error& e) {
     failure = job.cause().value_or(e);
   } catch (const std::exception& e) {

@@ -29,6 +29,9 @@ struct JobSettings {
   std::uint32_t max_frames = kMaxFrames;                ///< of one job
   bool compress = true;                                 ///< the finished result file
   std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a job
+  std::size_t max_jobs_each = 0;                        ///< of one owner that have not ended; 0: no limit
+  double max_gb_each = 0;                               ///< of one owner's jobs on disk, 10^9 bytes; 0: no limit
+  double keep_days = 0;                                 ///< jobs that have ended longer ago are removed; 0: never
 };
 
 /// Takes up unfinished jobs of the table at once. Thread-safe.
@@ -40,11 +43,17 @@ class JobRunner {
 
   /// Checks the request (the scene by opening it in the simulation service, the bundle by asking for it) and queues it.
   /// Errors: kInvalidArgument and kNotFound from the services, kFailedPrecondition (bundle of another mesh),
-  /// kUnavailable naming the service's address, kResourceExhausted (a limit of the settings).
-  JobRecord create(v1::CreateJobRequest request);
+  /// kUnavailable naming the service's address, kResourceExhausted (a limit of the settings, or of the disk: a job
+  /// whose file won't fit beside those of the jobs before it does not begin).
+  JobRecord create(v1::CreateJobRequest request, const std::string& owner);
 
   /// Ends the job, if it has not ended, and waits for that (at most 5 s).
   JobRecord cancel(const std::string& id);
+
+  /// 1: the next; 0: it does not wait.
+  std::uint32_t queue_place(const std::string& id) const;
+  /// Whether create() would refuse every job for its queue.
+  bool full() const;
 
   /// Null if the job is not being worked on.
   std::shared_ptr<ActiveJob> active(const std::string& id) const;
@@ -54,7 +63,9 @@ class JobRunner {
   bool stopping() const;
 
  private:
-  void require_room() const;
+  void require_room(const std::string& owner) const;
+  void admit_bytes(const std::string& owner, const std::string& scene, std::uint64_t bytes) const;
+  void sweep();
   void show_queue() const;
   void work();
   void execute(ActiveJob& job);
@@ -71,6 +82,7 @@ class JobRunner {
   std::map<std::string, std::shared_ptr<ActiveJob>> active_;
   bool stopping_ = false;
   std::vector<std::thread> workers_;
+  std::thread sweeper_;
 };
 
 /// The file where the job's frames are: complete, partial, or nothing yet.

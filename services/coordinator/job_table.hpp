@@ -25,10 +25,12 @@ struct JobRequest {
   bool reference = false;
   std::string model;
   std::string request;
+  std::string owner = {};
+  std::uint64_t bytes = 0;  ///< that the job's files will take at most
 };
 
-/// Folder layout: DATA/jobs/ID/{job.json, request.pb, result.h5, checkpoint.bin, ...}. Records are replaced by rename,
-/// so that a process killed at any moment leaves whole ones. Thread-safe.
+/// Folder layout: DATA/jobs/ID/{job.json, request.pb, result.h5, checkpoint.bin, ...}, folders of mode 0700. Records
+/// are replaced by rename, so that a process killed at any moment leaves whole ones. Thread-safe.
 class JobTable {
  public:
   /// Makes the folder if need be, locks it, and reads every record. Unreadable records are left alone and listed in
@@ -42,8 +44,24 @@ class JobTable {
   const std::vector<std::string>& warnings() const { return warnings_; }
 
   /// Makes a job and its folder. A known id with an equal request gives the existing job and false; with another
-  /// request it throws kAlreadyExists. Throws kInvalidArgument (bad id), kResourceExhausted (disk; file named).
+  /// request, or of another owner, it throws kAlreadyExists. Throws kInvalidArgument (bad id), kResourceExhausted
+  /// (disk; file named).
   std::pair<JobRecord, bool> create(const JobRequest& request);
+
+  /// Removes a job that has ended: its record and the files that coordinators make, also after a kill -9 in between.
+  /// What else lies in its folder stays there. Throws kFailedPrecondition if it has not ended.
+  JobRecord remove(const std::string& id);
+
+  /// What an owner's jobs hold: those that have not ended, and the bytes of all.
+  struct Holdings {
+    std::size_t unfinished = 0;
+    std::uint64_t bytes = 0;
+  };
+  Holdings holdings(const std::string& owner) const;
+  /// What the unfinished jobs of all may still write, bytes.
+  std::uint64_t promised_bytes() const;
+  /// Free on the data folder's file system, bytes.
+  std::uint64_t free_bytes() const;
 
   bool contains(const std::string& id) const;
   /// Throws kNotFound, as all members that take an id.
@@ -52,6 +70,8 @@ class JobTable {
   std::vector<JobRecord> unfinished() const;  ///< oldest first
   std::string request(const std::string& id) const;
   std::filesystem::path folder(const std::string& id) const;
+  /// The same for a job that may be gone meanwhile.
+  std::filesystem::path folder_of(const std::string& id) const { return jobs_ / id; }
 
   /// Changes a record and wakes the waiters. A change of state must be allowed by may_become, else kFailedPrecondition
   /// and nothing changes. On disk at once after a change of state, otherwise at most once a second.
@@ -69,6 +89,8 @@ class JobTable {
   };
   const Entry& find(const std::string& id) const;
   void save(Entry& entry);
+  void finish_removal(const std::filesystem::path& folder);
+  void give_back(const std::filesystem::path& doomed, const std::string& id);
 
   std::filesystem::path jobs_;
   int lock_ = -1;

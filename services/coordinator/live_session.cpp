@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <set>
 #include <span>
 #include <system_error>
@@ -13,8 +14,8 @@
 #include "common/base/checks.hpp"
 #include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
-#include "common/rpc/caller.hpp"
 #include "services/coordinator/fold_stage.hpp"
+#include "services/coordinator/session_memory.hpp"
 #include "services/coordinator/velocity_filler.hpp"
 
 namespace pleat::coordinator {
@@ -53,10 +54,40 @@ std::string fault_of(const v1::Frame& frame, Eigen::Index vertices) {
 
 }  // namespace
 
+/// What the frames of a session in flight may take of the memory for all, while it lives.
+class LiveSessions::Share {
+ public:
+  /// Throws kResourceExhausted if there is not so much left.
+  Share(LiveSessions& owner, std::uint32_t window, std::int64_t fine_vertices)
+      : owner_(owner), bytes_(kCopies * window * static_cast<double>(fine_vertices) * kBytesPerVertex) {
+    const std::lock_guard lock(owner_.mutex_);
+    const double all = owner_.settings_.max_live_gb * 1e9;
+    if (owner_.admitted_bytes_ + bytes_ > all) {
+      throw Error(ErrorCode::kResourceExhausted,
+                  "open: " + std::to_string(window) + " frames of " + std::to_string(fine_vertices) +
+                      " fine vertices in flight are more than this coordinator has memory for now; ask for a smaller "
+                      "window");
+    }
+    owner_.admitted_bytes_ += bytes_;
+  }
+  ~Share() {
+    const std::lock_guard lock(owner_.mutex_);
+    owner_.admitted_bytes_ -= bytes_;
+  }
+  Share(const Share&) = delete;
+  Share& operator=(const Share&) = delete;
+
+ private:
+  static constexpr double kCopies = 5;           // frames per window: one between any two stages
+  static constexpr double kBytesPerVertex = 24;  // positions, and velocities or an image of about that size
+  LiveSessions& owner_;
+  const double bytes_;
+};
+
 class LiveSessions::Session : public std::enable_shared_from_this<Session> {
  public:
   /// turn: which of several fold services it asks first.
-  Session(const LiveSessions& owner, grpc::CallbackServerContext* context, std::size_t turn)
+  Session(LiveSessions& owner, grpc::CallbackServerContext* context, std::size_t turn)
       : owner_(owner), turn_(turn), reactor_(Reactor::make(context)) {}
 
   Reactor* reactor() const { return reactor_.get(); }
@@ -123,10 +154,13 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     session.fold_turn = turn_;
     if (open.has_subdivision_rounds()) session.representation.set_subdivision_rounds(open.subdivision_rounds());
     if (open.has_subdivision_rule()) session.representation.set_subdivision_rule(open.subdivision_rule());
-    admit(coarse_vertices_, subdivision_from(session.representation).rounds, owner_.settings_.max_vertices,
-          "open.coarse");
+    const std::int64_t fine_vertices = admit(coarse_vertices_, subdivision_from(session.representation).rounds,
+                                             owner_.settings_.max_vertices, "open.coarse");
+    const Share share(owner_, window_, fine_vertices);
     session.obstacles = open.obstacles();
     if (open.has_clearance_m()) session.clearance_m = open.clearance_m();
+    memory_.emplace(session, open.checkpoint_interval());
+    if (!open.checkpoint().empty()) go_on(open.checkpoint(), session);
     session.skip_refinement = open.skip_refinement();
     session.window = window_;
     const Subdivision subdivision = subdivision_of(session, coarse, [&] {
@@ -144,9 +178,10 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     const Attachment attachment(*this, pipeline);
     pipeline.wait_open();
     write_opened(subdivision, session);
-    take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime, uses_fold(session.detail));
+    take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime, session);
     pipeline.close();
     pipeline.wait();
+    if (reactor_->left_untaken()) fail_slow("did not take an answer", owner_.settings_.reader_timeout_s);
     if (silent_) fail_slow("sent no frame", owner_.settings_.idle_timeout_s);
     if (reactor_->undecodable()) throw_invalid_argument(rpc::undecodable().error_message());
     if (broken_sequence_) throw_invalid_argument("after `open` only frames may follow");
@@ -163,7 +198,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     opened.set_precision(session.model.precision());
     opened.set_window(window_);
     opened.set_detail(session.detail);
-    reactor_->share_memory(window_);
+    reactor_->share_memory(window_, milliseconds(owner_.settings_.reader_timeout_s));
     reactor_->write(response, milliseconds(owner_.settings_.reader_timeout_s));
   }
 
@@ -174,11 +209,32 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     throw Error(ErrorCode::kDeadlineExceeded, "the client " + what + " for " + in_words(milliseconds(seconds)));
   }
 
-  /// Reads until the client has no more. At most `window` frames are unanswered. differences: the velocities are
+  /// Takes up what an earlier session of the same kind left.
+  void go_on(const std::string& checkpoint, PipelineSession& session) const {
+    v1::SessionCheckpoint before = parse_checkpoint(checkpoint, session);
+    for (const v1::Frame& frame : before.earlier()) {
+      const std::string fault = fault_of(frame, coarse_vertices_);
+      if (!fault.empty() || frame.velocities().empty())
+        throw_invalid_argument("open.checkpoint: its frames are damaged");
+      session.earlier.push_back(frame);
+    }
+    session.first_sequence = before.frames();
+    if (!before.has_fold()) return;
+    auto left = std::make_shared<FoldMemory>();
+    left->sequence = before.frames() - 1;
+    left->state.Swap(before.mutable_fold());
+    session.fold_memory = std::move(left);
+  }
+
+  /// Reads until the client has no more. At most `window` frames are unanswered. With the fold step the velocities are
   /// backward differences, whatever the client says.
-  void take_frames(EnhancementPipeline& pipeline, double frame_time_s, bool differences) {
+  void take_frames(EnhancementPipeline& pipeline, double frame_time_s, const PipelineSession& session) {
+    const bool differences = uses_fold(session.detail);
     VelocityFiller velocities(frame_time_s);
-    for (std::uint64_t sequence = 0; wait_for_room(); ++sequence) {
+    for (const v1::Frame& frame : session.earlier) {
+      velocities.fill(frame.index(), frame.positions().data(), static_cast<std::size_t>(frame.positions_size()));
+    }
+    for (std::uint64_t sequence = session.first_sequence; wait_for_room(); ++sequence) {
       const v1::EnhanceRequest* request = reactor_->read(milliseconds(owner_.settings_.idle_timeout_s));
       if (request == nullptr) {
         silent_ = reactor_->timed_out();
@@ -201,6 +257,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
         const auto filled = velocities.fill(frame->index, positions.data(), static_cast<std::size_t>(positions.size()));
         if (differences || frame->coarse.velocities().empty())
           frame->coarse.mutable_velocities()->Assign(filled.begin(), filled.end());
+        memory_->remember(sequence, frame->coarse);
       }
       if (!pipeline.push(std::move(frame))) return;
     }
@@ -216,6 +273,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
 
   void answer(PipelineFrame& frame) {
     v1::EnhanceResponse response;
+    response.set_checkpoint(memory_->checkpoint(frame));
     if (frame.error) {
       *response.mutable_error() = *frame.error;
     } else {
@@ -289,11 +347,12 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     Session& session_;
   };
 
-  const LiveSessions& owner_;
+  LiveSessions& owner_;
   const std::size_t turn_;
   std::shared_ptr<Reactor> reactor_;
   std::uint32_t window_ = rpc::kDefaultWindow;
   Eigen::Index coarse_vertices_ = 0;
+  std::optional<SessionMemory> memory_;  ///< before the pipeline's first frame
   bool broken_sequence_ = false, silent_ = false;
   std::mutex attachment_mutex_;  ///< before mutex_
   EnhancementPipeline* pipeline_ = nullptr;
@@ -315,8 +374,12 @@ LiveSessions::~LiveSessions() {
   changed_.wait(lock, [this] { return sessions_.empty(); });
 }
 
-LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context) {
-  const std::string client = rpc::caller(*context);
+bool LiveSessions::has_room() const {
+  const std::lock_guard lock(mutex_);
+  return sessions_.size() < settings_.max_sessions;
+}
+
+LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context, const std::string& client) {
   const std::lock_guard lock(mutex_);
   const grpc::Status admitted = rpc::guard([&] {
     if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");

@@ -16,11 +16,12 @@ namespace pleat::coordinator {
 
 struct LiveSettings {
   std::size_t max_sessions = 32;
-  std::size_t max_sessions_each = 0;                    ///< of one client (rpc::caller); 0: as many as all together
+  std::size_t max_sessions_each = 0;                    ///< of one caller; 0: as many as all together
   double open_timeout_s = 10;                           ///< for the client's first message
   double idle_timeout_s = 300;                          ///< for its next frame
   double reader_timeout_s = 30;                         ///< for it to take an answer
   std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a session or job
+  double max_live_gb = 8;                               ///< frames in flight of all sessions, 10^9 bytes
 };
 
 /// All live sessions of a coordinator; each has a thread that reads, and the pipeline's own. Thread-safe.
@@ -32,20 +33,25 @@ class LiveSessions {
   /// Waits until the last session has ended; call drain() and stop the server first.
   ~LiveSessions();
 
-  /// The handler of one call.
-  Reactor* start(grpc::CallbackServerContext* context);
+  /// The handler of one call. client: whose limits count.
+  Reactor* start(grpc::CallbackServerContext* context, const std::string& client);
+
+  /// Whether another session would be admitted.
+  bool has_room() const;
 
   /// Sessions take no further frame, answer those in flight, and end with UNAVAILABLE; new ones are refused.
   void drain();
 
  private:
   class Session;
+  class Share;
 
   const ServiceAddresses addresses_;
   const LinkOptions link_;
   const LiveSettings settings_;
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::condition_variable changed_;
+  double admitted_bytes_ = 0;  ///< of frames in flight
   std::set<std::shared_ptr<Session>> sessions_;
   std::size_t started_ = 0;
   ClientQuota quota_;

@@ -74,13 +74,13 @@ std::vector<std::string> split_addresses(const std::string& service, const std::
   return addresses;
 }
 
-void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what) {
+std::int64_t admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what) {
   if (rounds > kMaxSubdivisionRounds) {
     throw_invalid_argument(what + ": " + std::to_string(rounds) + " subdivisions, at most " +
                            std::to_string(kMaxSubdivisionRounds));
   }
   const double fine = static_cast<double>(coarse_vertices) * std::pow(4.0, rounds);
-  if (fine <= static_cast<double>(max_vertices)) return;
+  if (fine <= static_cast<double>(max_vertices)) return static_cast<std::int64_t>(fine);
   throw Error(ErrorCode::kResourceExhausted,
               what + ": " + std::to_string(coarse_vertices) + " vertices, subdivided " + std::to_string(rounds) +
                   " times about " + std::to_string(static_cast<std::int64_t>(fine)) +

@@ -49,8 +49,8 @@ struct PipelineSession {
 
 /// Before anything is made of a mesh: throws kResourceExhausted if `rounds` subdivisions of it have more than
 /// `max_vertices` vertices (each multiplies them by four), and kInvalidArgument for more than kMaxSubdivisionRounds.
-/// `what` goes before the message.
-void admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what);
+/// `what` goes before the message. Returns how many vertices that is at most.
+std::int64_t admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_vertices, const std::string& what);
 
 /// Asks the super-resolution service what a bundle is, until it answers or the outage is too long. `name` empty: the
 /// service's default. `cancelled` is asked between attempts. Errors: kNotFound, kUnavailable (naming the address), ...

@@ -8,8 +8,8 @@
 #include <thread>
 #include <utility>
 
-#include "common/rpc/caller.hpp"
 #include "common/scene/animation_parts.hpp"
+#include "services/coordinator/access.hpp"
 #include "services/coordinator/result_events.hpp"
 #include "services/coordinator/silence_watch.hpp"
 
@@ -43,6 +43,8 @@ LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metri
 JobSettings checked(JobSettings settings) {
   if (settings.window == 0) throw_invalid_argument("--window: must lie in [1, 64]");
   settings.window = rpc::checked_window(settings.window);
+  if (!(settings.keep_days >= 0)) throw_invalid_argument("--keep-days: must be 0 or more");
+  if (!(settings.max_gb_each >= 0)) throw_invalid_argument("--max-gb-each: must be 0 or more");
   return settings;
 }
 
@@ -73,7 +75,8 @@ v1::Job::State to_message(JobState state) {
 }  // namespace
 
 CoordinatorService::CoordinatorService(const CoordinatorOptions& options, telemetry::Metrics* metrics)
-    : table_(options.data),
+    : callers_(options.token_file),
+      table_(options.data),
       runner_(table_, addresses_of(options), link_of(options, metrics), checked(options.jobs)),
       live_(addresses_of(options), link_of(options, metrics), checked(options.live)),
       metrics_(metrics),
@@ -87,9 +90,10 @@ CoordinatorService::CoordinatorService(const CoordinatorOptions& options, teleme
 grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v1::CreateJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
-    const JobRecord record = runner_.create(*request);
-    spdlog::info("job {} of {} accepted: scene '{}', {} frames", record.id, rpc::caller(*context), record.scene_name,
-                 record.frames);
+    const rpc::Caller caller = callers_.identify(*context);
+    require_maker(caller, "make jobs");
+    const JobRecord record = runner_.create(*request, caller.name);
+    audit(caller, record, "created (" + std::to_string(record.frames) + " frames of '" + record.scene_name + "')");
     *job = to_job(record);
   });
 }
@@ -97,23 +101,25 @@ grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v
 grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
                                                   grpc::ServerReader<v1::CreateJobPart>* reader, v1::Job* job) {
   return rpc::guard([&] {
-    const std::string client = rpc::caller(*context);
+    const rpc::Caller caller = callers_.identify(*context);
+    require_maker(caller, "make jobs");
     {
       const std::lock_guard lock(uploads_mutex_);
-      upload_quota_.enter(client);
+      upload_quota_.enter(caller.name);
     }
     const std::shared_ptr<void> leave(nullptr, [&](void*) {
       const std::lock_guard lock(uploads_mutex_);
-      upload_quota_.leave(client);
+      upload_quota_.leave(caller.name);
     });
-    const JobRecord record = receive_job(*context, *reader);
-    spdlog::info("job {} of {} accepted in parts: scene '{}', {} frames", record.id, client, record.scene_name,
-                 record.frames);
+    const JobRecord record = receive_job(*context, *reader, caller.name);
+    audit(caller, record,
+          "created in parts (" + std::to_string(record.frames) + " frames of '" + record.scene_name + "')");
     *job = to_job(record);
   });
 }
 
-JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader) {
+JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader,
+                                          const std::string& owner) {
   SilenceWatch silence(context, idle_timeout_);
   const auto read = [&](v1::CreateJobPart& part) {
     if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
@@ -130,32 +136,66 @@ JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::Se
   }
   part.Clear();
   if (read(part)) throw_invalid_argument("no more parts than the scene announces may follow");
-  return runner_.create(std::move(request));
+  return runner_.create(std::move(request), owner);
 }
 
 grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v1::CancelJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
-    *job = to_job(runner_.cancel(request->id()));
-    spdlog::info("job {} cancelled by {}", job->id(), rpc::caller(*context));
+    const rpc::Caller caller = callers_.identify(*context);
+    require_owner(caller, table_.get(request->id()));
+    const JobRecord record = runner_.cancel(request->id());
+    audit(caller, record, "cancelled");
+    *job = to_job(record);
   });
 }
 
-grpc::Status CoordinatorService::ListJobs(grpc::ServerContext*, const v1::ListJobsRequest*,
+grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1::ListJobsRequest*,
                                           v1::ListJobsResponse* response) {
   return rpc::guard([&] {
-    for (const JobRecord& record : table_.list()) *response->add_jobs() = to_job(record);
+    const rpc::Caller caller = callers_.identify(*context);
+    for (const JobRecord& record : table_.list()) {
+      if (may_read(caller, record)) *response->add_jobs() = to_job(record);
+    }
   });
 }
 
-grpc::Status CoordinatorService::GetJob(grpc::ServerContext*, const v1::GetJobRequest* request, v1::Job* job) {
-  return rpc::guard([&] { *job = to_job(table_.get(request->id())); });
+grpc::Status CoordinatorService::GetJob(grpc::ServerContext* context, const v1::GetJobRequest* request, v1::Job* job) {
+  return rpc::guard([&] {
+    const rpc::Caller caller = callers_.identify(*context);
+    const JobRecord record = table_.get(request->id());
+    require_reader(caller, record);
+    *job = to_job(record);
+  });
+}
+
+grpc::Status CoordinatorService::RemoveJob(grpc::ServerContext* context, const v1::RemoveJobRequest* request,
+                                           v1::Job* job) {
+  return rpc::guard([&] {
+    const rpc::Caller caller = callers_.identify(*context);
+    const JobRecord record = table_.get(request->id());
+    require_owner(caller, record);
+    v1::Job was = to_job(record);
+    table_.remove(request->id());
+    audit(caller, record, "removed");
+    *job = std::move(was);
+  });
 }
 
 grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* CoordinatorService::Enhance(
     grpc::CallbackServerContext* context) {
-  return live_.start(context);
+  try {
+    const rpc::Caller caller = callers_.identify(*context);
+    require_maker(caller, "open live sessions");
+    return live_.start(context, caller.name);
+  } catch (...) {
+    const auto refused = LiveSessions::Reactor::make(context);
+    refused->refuse(rpc::current_exception_status());
+    return refused.get();
+  }
 }
+
+bool CoordinatorService::has_room() const { return !draining_ && live_.has_room() && !runner_.full(); }
 
 CoordinatorService::~CoordinatorService() {
   std::unique_lock lock(watchers_mutex_);
@@ -251,11 +291,13 @@ class CoordinatorService::Watcher {
 grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::CallbackServerContext* context,
                                                                      const v1::WatchJobRequest* asked) {
   auto writer = EventWriter::make(context);
-  const std::string client = rpc::caller(*context);
   const std::lock_guard lock(watchers_mutex_);
+  rpc::Caller caller;
   const grpc::Status admitted = rpc::guard([&] {
+    caller = callers_.identify(*context);
+    require_reader(caller, table_.get(asked->id()));
     if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
-    watcher_quota_.enter(client);
+    watcher_quota_.enter(caller.name);
   });
   if (!admitted.ok()) {
     writer->refuse(admitted);
@@ -263,26 +305,27 @@ grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::Callb
   }
   watchers_.insert(writer);
   try {
-    std::thread([this, writer, client, request = *asked] { watch(*writer, client, request); }).detach();
+    std::thread([this, writer, caller, request = *asked] { watch(*writer, caller, request); }).detach();
   } catch (const std::system_error&) {
-    watcher_quota_.leave(client);
+    watcher_quota_.leave(caller.name);
     watchers_.erase(writer);
     writer->refuse({grpc::StatusCode::UNAVAILABLE, "this host has no thread to spare"});
   }
   return writer.get();
 }
 
-void CoordinatorService::watch(EventWriter& writer, const std::string& client, const v1::WatchJobRequest& request) {
+void CoordinatorService::watch(EventWriter& writer, const rpc::Caller& caller, const v1::WatchJobRequest& request) {
   if (metrics_ != nullptr) metrics_->add_sessions(1);
   writer.finish(rpc::guard([&]() -> grpc::Status {
-    spdlog::info("job {} is watched by {}", table_.get(request.id()).id, client);
+    const JobRecord record = table_.get(request.id());
+    if (caller.name != record.owner) audit(caller, record, "read");
     if (Watcher(*this, request, writer).run()) return grpc::Status::OK;
     return writer.timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "the client does not read")
                               : grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
   }));
   if (metrics_ != nullptr) metrics_->add_sessions(-1);
   const std::lock_guard ended(watchers_mutex_);
-  watcher_quota_.leave(client);
+  watcher_quota_.leave(caller.name);
   std::erase_if(watchers_, [&](const auto& other) { return other.get() == &writer; });
   watchers_changed_.notify_all();
 }
@@ -296,7 +339,7 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   job.set_frames_complete(record.frames_complete);
   job.set_reference_frames_complete(record.reference_frames_complete);
   job.set_error(record.error);
-  const auto folder = table_.folder(record.id);
+  const auto folder = table_.folder_of(record.id);
   job.set_result_path(std::filesystem::absolute(result_file(folder).value_or(folder / "result.h5")).string());
   v1::JobSummary& summary = *job.mutable_summary();
   summary.set_coarse_vertices(record.coarse_vertices);
@@ -312,6 +355,11 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   summary.set_pinch_depth_m(record.pinch_depth_m);
   summary.set_detail(detail_named(record.detail));
   for (const std::string& warning : record.warnings) job.add_warnings(warning);
+  job.set_owner(record.owner);
+  job.set_created_s(record.created_s);
+  job.set_ended_s(record.ended_s);
+  job.set_bytes(record.bytes);
+  job.set_queue_place(runner_.queue_place(record.id));
   return job;
 }
 

@@ -9,33 +9,15 @@
 #include <set>
 #include <string>
 
-#include "common/base/runtime_folder.hpp"
-#include "common/rpc/channel.hpp"
+#include "common/rpc/caller.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
 #include "services/coordinator/client_quota.hpp"
+#include "services/coordinator/coordinator_options.hpp"
 #include "services/coordinator/job_runner.hpp"
 #include "services/coordinator/live_session.hpp"
 
 namespace pleat::coordinator {
-
-struct CoordinatorOptions {
-  /// Comma-separated addresses: the replicas of each service.
-  std::string simulation = default_address("simulation");
-  std::string conversion = default_address("conversion");
-  std::string superres = default_address("superres");
-  std::string fold = default_address("fold");
-  std::string refinement = default_address("refinement");
-  std::string data = "pleat-data";    ///< folder of the jobs
-  rpc::TlsOptions service_tls;        ///< towards the services
-  double give_up_s = 30;              ///< a service that is away this long fails its sessions
-  double answer_timeout_s = 60;       ///< longest wait for one frame, or for a session to open
-  std::size_t max_watchers = 256;     ///< calls of WatchJob at the same time
-  std::size_t max_watchers_each = 0;  ///< of one client (rpc::caller); 0: as many as all together
-  std::size_t max_uploads = 4;        ///< calls of CreateJobInParts at the same time
-  JobSettings jobs;
-  LiveSettings live;
-};
 
 /// Streams have threads of their own: those of gRPC stay free for unary calls and health checks.
 class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enhance<
@@ -56,8 +38,12 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   grpc::Status ListJobs(grpc::ServerContext* context, const v1::ListJobsRequest* request,
                         v1::ListJobsResponse* response) override;
   grpc::Status GetJob(grpc::ServerContext* context, const v1::GetJobRequest* request, v1::Job* job) override;
+  grpc::Status RemoveJob(grpc::ServerContext* context, const v1::RemoveJobRequest* request, v1::Job* job) override;
   grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* Enhance(
       grpc::CallbackServerContext* context) override;
+
+  /// Whether neither another live session nor another job would find room.
+  bool has_room() const;
 
   /// Jobs stop where they are (and go on at the next start), sessions end after the frames in flight. Returns at once.
   void drain();
@@ -66,11 +52,13 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   using EventWriter = BlockingWriter<v1::JobEvent>;
   class Watcher;
 
-  JobRecord receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader);
-  void watch(EventWriter& writer, const std::string& client, const v1::WatchJobRequest& request);
+  JobRecord receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader,
+                        const std::string& owner);
+  void watch(EventWriter& writer, const rpc::Caller& caller, const v1::WatchJobRequest& request);
   v1::Job to_job(const JobRecord& record) const;
 
   std::atomic<bool> draining_{false};
+  const rpc::Callers callers_;
   JobTable table_;
   JobRunner runner_;
   LiveSessions live_;

@@ -63,6 +63,18 @@ class Package(unittest.TestCase):
             # A second call goes on.
             self.assertEqual(session.enhance_all(waves(2)).shape, (2, 11393, 3))
 
+    def test_a_session_outlives_its_coordinator(self):
+        with self.client.session(GARMENT, detail="fold") as session:
+            undisturbed = session.enhance_all(waves(40))
+        with self.client.session(GARMENT, detail="fold") as session:
+            frames = []
+            for frame in session.enhance(waves(40)):
+                frames.append(frame.positions)
+                if frame.index in (10, 33):
+                    subprocess.run(["pkill", "-KILL", "-P", str(self.client._services._process.pid), "-f", "pleat-coordinator"],
+                                   check=True)
+        np.testing.assert_array_equal(np.stack(frames), undisturbed)
+
     def test_frames_are_read_as_the_window_allows(self):
         read = []
 
@@ -125,6 +137,9 @@ class Package(unittest.TestCase):
         self.assertEqual(list(self.client.watch(job.id))[-1], job)
         with self.assertRaisesRegex(pleat.PleatError, "nobody"):
             list(self.client.watch("nobody"))
+        self.assertEqual(self.client.remove_job(job.id).owner, "local")
+        with self.assertRaisesRegex(pleat.PleatError, "NOT_FOUND"):
+            self.client.job(job.id)
         with self.assertRaisesRegex(pleat.PleatError, "no-scene.json"):
             self.client.run("no-scene.json")
 

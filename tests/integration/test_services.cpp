@@ -7,7 +7,10 @@
 #include <functional>
 #include <set>
 #include <thread>
+#include <vector>
 
+#include "common/client/cpp/client.hpp"
+#include "common/client/cpp/messages.hpp"
 #include "common/frame/messages.hpp"
 #include "common/rpc/channel.hpp"
 #include "common/store/result.hpp"
@@ -280,6 +283,41 @@ TEST_F(ServicesTest, AClientThatDisappearsFreesTheStages) {
   session.vanish();
   EXPECT_TRUE(eventually(all_stages_free)) << logs();
   EXPECT_EQ(session.finish().error_code(), grpc::StatusCode::CANCELLED);
+}
+
+TEST_F(ServicesTest, ALiveSessionOutlivesAKilledCoordinatorWithTheSameBits) {
+  const ResultReader made(calm().result_path());
+  const client::Client client(processes_->address("coordinator"));
+  for (const v1::Detail detail : {v1::DETAIL_NETWORK, v1::DETAIL_FOLD}) {
+    const auto enhance = [&](const std::set<std::uint64_t>& kills) {
+      client::EnhanceSession session = client.enhance(
+          {.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = detail, .patience = 60s});
+      std::vector<std::vector<float>> fine;
+      session.run(
+          kFrames,
+          [&](std::uint64_t k) {
+            client::CoarseFrame frame;
+            frame.index = k;
+            frame.time_s = 0.04 * static_cast<double>(k);
+            const Positions coarse = made.coarse(k, k + 1)[0];
+            frame.positions.assign(coarse.data(), coarse.data() + coarse.size());
+            return frame;
+          },
+          [&](const client::EnhancedFrame& answer, const client::CoarseFrame&) {
+            EXPECT_FALSE(answer.error) << answer.error->what();
+            EXPECT_EQ(answer.index, fine.size());
+            fine.push_back(answer.positions);
+            if (!kills.contains(answer.index)) return;
+            processes_->kill("coordinator");
+            processes_->start("coordinator");
+          });
+      return fine;
+    };
+    const auto undisturbed = enhance({});
+    ASSERT_EQ(undisturbed.size(), kFrames);
+    EXPECT_EQ(enhance({3, 31}), undisturbed) << logs();
+  }
+  processes_->wait_until_healthy("coordinator");
 }
 
 TEST_F(ServicesTest, AMissingServiceIsNamedWithItsAddress) {

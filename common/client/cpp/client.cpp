@@ -5,8 +5,9 @@
 #include <thread>
 
 #include "common/client/cpp/messages.hpp"
+#include "common/client/cpp/session_stream.hpp"
+#include "common/rpc/caller.hpp"
 #include "common/rpc/status.hpp"
-#include "common/rpc/stream.hpp"
 #include "common/scene/animation_parts.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
 
@@ -32,14 +33,17 @@ std::string random_id(const std::string& scene) {
 }  // namespace
 
 struct EnhanceSession::State {
-  using Stream = rpc::FrameStream<v1::EnhanceRequest, v1::EnhanceResponse>;
-
   std::string peer;
   std::shared_ptr<v1::Coordinator::Stub> stub;
-  std::unique_ptr<Stream> stream;
+  std::unique_ptr<SessionStream> stream;
   SessionInfo info;
-  v1::EnhanceRequest request;    ///< reused by the pushing thread
   v1::EnhanceResponse response;  ///< reused by the popping thread
+
+  SessionStream::Request request_of(const CoarseFrame& frame) const {
+    SessionStream::Request request = stream->spare();
+    to_message(frame, request->mutable_frame());
+    return request;
+  }
 };
 
 EnhanceSession::EnhanceSession(std::unique_ptr<State> state) : state_(std::move(state)) {}
@@ -49,14 +53,11 @@ EnhanceSession::~EnhanceSession() = default;
 
 const SessionInfo& EnhanceSession::info() const { return state_->info; }
 
-void EnhanceSession::push(const CoarseFrame& frame) {
-  to_message(frame, state_->request.mutable_frame());
-  state_->stream->push(state_->request);
-}
+void EnhanceSession::push(const CoarseFrame& frame) { state_->stream->push(state_->request_of(frame)); }
 
 bool EnhanceSession::try_push(const CoarseFrame& frame) {
-  to_message(frame, state_->request.mutable_frame());
-  return state_->stream->try_push(state_->request);
+  SessionStream::Request request = state_->request_of(frame);
+  return state_->stream->try_push(request);
 }
 
 std::optional<EnhancedFrame> EnhanceSession::pop() {
@@ -72,15 +73,14 @@ void EnhanceSession::cancel() { state_->stream->cancel(); }
 void EnhanceSession::run(std::uint64_t count, const Input& input, const Sink& sink) {
   std::deque<CoarseFrame> waiting;  // inputs without an answer, bounded by the window
   std::uint64_t sent = 0;
-  bool filled = false;  // the request holds frame `sent`, which did not fit into the window
+  SessionStream::Request request;  // frame `sent`, if it did not fit into the window
   for (std::uint64_t answered = 0; answered < count; ++answered) {
     while (sent < count) {
-      if (!filled) {
+      if (!request) {
         waiting.push_back(input(sent));
-        to_message(waiting.back(), state_->request.mutable_frame());
+        request = state_->request_of(waiting.back());
       }
-      filled = !state_->stream->try_push(state_->request);
-      if (filled) break;
+      if (!state_->stream->try_push(request)) break;
       ++sent;
     }
     if (sent == count) close();
@@ -102,6 +102,7 @@ struct Client::State {
   std::string peer;
   std::shared_ptr<grpc::Channel> channel;
   std::shared_ptr<v1::Coordinator::Stub> stub;
+  std::string authorization;  ///< metadata of every call; empty: none
 
   /// One unary call, repeated with growing pauses while nobody answers.
   template <typename Call>
@@ -110,6 +111,7 @@ struct Client::State {
     for (int attempt = 1;; ++attempt) {
       grpc::ClientContext context;
       context.set_deadline(std::chrono::system_clock::now() + timeout);
+      if (!authorization.empty()) context.AddMetadata(rpc::kTokenKey, authorization);
       const grpc::Status status = make(&context);
       if (status.error_code() != grpc::StatusCode::UNAVAILABLE || attempt == kAttempts) {
         rpc::throw_if_failed(status, peer);
@@ -125,6 +127,7 @@ Client::Client(std::string address, const rpc::TlsOptions& tls) : state_(std::ma
   state_->peer = "coordinator at " + address;
   state_->channel = rpc::create_channel(address, tls);
   state_->stub = v1::Coordinator::NewStub(state_->channel);
+  if (!tls.token_file.empty()) state_->authorization = rpc::kTokenPrefix + rpc::read_token(tls.token_file);
   state_->address = std::move(address);
 }
 Client::~Client() = default;
@@ -177,6 +180,14 @@ v1::Job Client::cancel_job(const std::string& id) const {
   return job;
 }
 
+v1::Job Client::remove_job(const std::string& id) const {
+  v1::RemoveJobRequest request;
+  request.set_id(id);
+  v1::Job job;
+  state_->call([&](grpc::ClientContext* context) { return state_->stub->RemoveJob(context, request, &job); });
+  return job;
+}
+
 std::vector<v1::Job> Client::list_jobs() const {
   v1::ListJobsResponse response;
   state_->call(
@@ -185,7 +196,7 @@ std::vector<v1::Job> Client::list_jobs() const {
 }
 
 JobWatcher Client::watch_job(const std::string& id, JobSinks sinks, const JobWatchOptions& options) const {
-  return JobWatcher(state_->channel, state_->peer, id, std::move(sinks), options);
+  return JobWatcher(state_->channel, state_->peer, state_->authorization, id, std::move(sinks), options);
 }
 
 EnhanceSession Client::enhance(const EnhanceOptions& options) const {
@@ -208,14 +219,21 @@ EnhanceSession Client::enhance(const EnhanceOptions& options) const {
   auto session = std::make_unique<EnhanceSession::State>();
   session->peer = state_->peer;
   session->stub = state_->stub;
-  rpc::FrameStreamOptions stream;
-  stream.peer = state_->peer;
-  stream.window = open->window();
-  stream.same_host = rpc::is_unix_address(state_->address);
-  session->stream = std::make_unique<EnhanceSession::State::Stream>(
-      [stub = state_->stub](auto* context, auto* call) { stub->async()->Enhance(context, call); }, stream);
-  const v1::EnhanceOpened opened = session->stream->open(request);
-  if (opened.window() > 0 && opened.window() < stream.window) {
+  SessionStream::Options stream;
+  stream.stream.peer = state_->peer;
+  stream.stream.window = open->window();
+  stream.stream.same_host = rpc::is_unix_address(state_->address);
+  stream.patience = options.patience;
+  stream.away = options.away;
+  const std::uint32_t window = open->window();
+  session->stream = std::make_unique<SessionStream>(
+      [stub = state_->stub, authorization = state_->authorization](auto* context, auto* call) {
+        if (!authorization.empty()) context->AddMetadata(rpc::kTokenKey, authorization);
+        stub->async()->Enhance(context, call);
+      },
+      std::move(stream), std::move(request));
+  const v1::EnhanceOpened& opened = session->stream->opened();
+  if (opened.window() > 0 && opened.window() < window) {
     throw_internal(state_->peer + ": the session's window is smaller than asked for");
   }
   session->info = {from_message(opened.fine(), "opened.fine"),

@@ -34,6 +34,10 @@ struct EnhanceOptions {
   v1::Detail detail = v1::DETAIL_UNSPECIFIED;  ///< network, fold step or both; unset: the coordinator's default
   std::string material_json = {};        ///< for the fold step, ARCSim's format; empty: the shipped default material
   std::vector<std::uint32_t> held = {};  ///< for the fold step: coarse vertices that the cloth is held at all the time
+  /// How long the coordinator may stay away in the middle of the session, which then goes on where it was, with the
+  /// same bits. 0: a session ends with its coordinator.
+  std::chrono::milliseconds patience{30'000};
+  std::function<void()> away = {};  ///< called now and then while it is away; what it throws ends the session
 };
 
 /// What a session works with.
@@ -83,7 +87,8 @@ class EnhanceSession {
 /// kUnavailable if nobody answers, kDeadlineExceeded, and what the coordinator says.
 class Client {
  public:
-  /// Connects at the first call. An address that is not local needs TLS, else kInvalidArgument.
+  /// Connects at the first call. An address that is not local needs TLS, else kInvalidArgument. kNotFound or
+  /// kInvalidArgument for a file of `tls` that is not what it should be.
   explicit Client(std::string address, const rpc::TlsOptions& tls = {});
   ~Client();
   Client(Client&&) noexcept;
@@ -98,6 +103,9 @@ class Client {
   v1::Job create_job(v1::CreateJobRequest request) const;
   v1::Job get_job(const std::string& id) const;
   v1::Job cancel_job(const std::string& id) const;
+  /// One that has ended, with its files. A repeated call may find it gone: kNotFound.
+  v1::Job remove_job(const std::string& id) const;
+  /// Those that the caller may read, newest first.
   std::vector<v1::Job> list_jobs() const;
 
   /// Follows a job from a thread of its own, which calls the sinks.

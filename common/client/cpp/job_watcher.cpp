@@ -6,6 +6,7 @@
 #include <thread>
 
 #include "common/client/cpp/messages.hpp"
+#include "common/rpc/caller.hpp"
 #include "common/rpc/status.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
 
@@ -40,10 +41,11 @@ bool has_ended(v1::Job::State state) {
 }
 
 struct JobWatcher::State {
-  State(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string job_id, JobSinks sinks,
-        const JobWatchOptions& options)
+  State(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string authorization, std::string job_id,
+        JobSinks sinks, const JobWatchOptions& options)
       : stub_(v1::Coordinator::NewStub(channel)),
         peer_(std::move(peer)),
+        authorization_(std::move(authorization)),
         job_id_(std::move(job_id)),
         sinks_(std::move(sinks)),
         patience_(options.patience),
@@ -75,7 +77,7 @@ struct JobWatcher::State {
   void handle_frame(const EnhancedFrame& frame);
 
   std::unique_ptr<v1::Coordinator::Stub> stub_;
-  std::string peer_, job_id_;
+  std::string peer_, authorization_, job_id_;
   JobSinks sinks_;
   std::chrono::seconds patience_;
   std::mutex mutex_;
@@ -155,6 +157,7 @@ bool JobWatcher::State::watch_once() {
     if (stopping_) return true;
     context_ = &context;
   }
+  if (!authorization_.empty()) context.AddMetadata(rpc::kTokenKey, authorization_);
   v1::WatchJobRequest request;
   request.set_id(job_id_);
   request.set_from_index(next_index_);
@@ -191,9 +194,10 @@ bool JobWatcher::State::watch_once() {
   return false;
 }
 
-JobWatcher::JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string job_id,
-                       JobSinks sinks, const JobWatchOptions& options)
-    : state_(std::make_unique<State>(channel, std::move(peer), std::move(job_id), std::move(sinks), options)) {}
+JobWatcher::JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string authorization,
+                       std::string job_id, JobSinks sinks, const JobWatchOptions& options)
+    : state_(std::make_unique<State>(channel, std::move(peer), std::move(authorization), std::move(job_id),
+                                     std::move(sinks), options)) {}
 JobWatcher::JobWatcher(JobWatcher&&) noexcept = default;
 JobWatcher& JobWatcher::operator=(JobWatcher&&) noexcept = default;
 JobWatcher::~JobWatcher() = default;

@@ -54,8 +54,8 @@ class JobWatcher {
  private:
   friend class Client;
   struct State;
-  JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string job_id, JobSinks sinks,
-             const JobWatchOptions& options);
+  JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string authorization,
+             std::string job_id, JobSinks sinks, const JobWatchOptions& options);
   std::unique_ptr<State> state_;
 };
 

@@ -124,6 +124,7 @@ void Launcher::start_service(std::size_t index) {
     add("--data", options_.data.string());
     add("--give-up-s", kGiveUp);
     if (!options_.metrics_listen.empty()) add("--metrics-listen", options_.metrics_listen);
+    if (!options_.token_file.empty()) add("--token-file", options_.token_file);
   }
   const fs::path log = options_.logs / (service.name + ".log");
   std::error_code ignored;

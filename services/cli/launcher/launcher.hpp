@@ -26,6 +26,7 @@ struct LauncherOptions {
   bool fold = true;            ///< start the fold service
   std::string listen;          ///< of the coordinator; empty: a Unix socket
   std::string metrics_listen;  ///< of the coordinator; empty: none
+  std::string token_file;      ///< of the coordinator: who may call it; empty: whoever gets there
   std::chrono::seconds start_timeout{300};     ///< until all are healthy
   std::chrono::seconds stop_grace{10};         ///< between SIGTERM and SIGKILL
   std::chrono::milliseconds patience{20'000};  ///< a service that does not answer this long is replaced

@@ -149,7 +149,8 @@ std::string curves_page(const std::string& name, const std::vector<EpochReport>&
       charts[0].lines.push_back({label, color, epochs, line});
   }
   std::ostringstream out;
-  out << "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Training of " << escape_html(name)
+  out << "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">" << kCurvesMarks[0] << "<title>Training of "
+      << escape_html(name)
       << "</title>\n<style>body{font:15px/1.4 system-ui,sans-serif;max-width:720px;margin:2em auto;padding:0 1em;"
          "color:#222;background:#fff}h1{font-size:1.4em}h2{font-size:1.05em;margin:1.6em 0 .3em}"
       << kChartStyle << "</style></head>\n<body><h1>Training of " << escape_html(name) << "</h1>\n";

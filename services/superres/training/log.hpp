@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "services/superres/training/trainer.hpp"
@@ -11,6 +12,11 @@ namespace pleat::superres {
 std::string to_json(const EpochReport& report);
 /// Of to_json()'s text; "" gives an empty report.
 EpochReport report_from_json(const std::string& text);
+
+/// By which both files are known as a training's (own_file.hpp).
+inline constexpr std::string_view kLogMarks[] = {"epoch,steps,minutes,learning_rate,"};
+inline constexpr std::string_view kCurvesMarks[] = {"<meta name=\"generator\" content=\"pleat.training\">",
+                                                    "<title>Training of "};
 
 /// Reads the rows of log.csv up to `last_epoch`; those after a check-point will come again. No file, no rows.
 std::vector<EpochReport> read_log(const std::string& path, int last_epoch);

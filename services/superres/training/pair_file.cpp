@@ -7,15 +7,19 @@
 
 #include <cerrno>
 #include <cstring>
+#include <string>
+#include <string_view>
 #include <vector>
 
 #include "common/base/error.hpp"
+#include "common/base/own_file.hpp"
 #include "common/base/whole_file.hpp"
 
 namespace pleat::superres {
 namespace {
 
 constexpr char kMagic[16] = "pleat.pairs.v2";
+constexpr std::string_view kMarks[] = {"pleat.pairs."};  // of all versions
 
 struct Header {
   char magic[16];
@@ -60,6 +64,10 @@ PairFileWriter::PairFileWriter(const std::filesystem::path& path, const PairFile
   std::error_code error;
   std::filesystem::create_directories(path.parent_path(), error);
   const std::string partial = path.string() + ".partial";
+  // What has one of these names and was not made here is somebody's.
+  for (const std::string& name : {path.string(), partial}) {
+    if (!has_mark(name, kMarks)) set_aside(name);
+  }
   file_ = ::open(partial.c_str(), O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
   if (file_ < 0) throw Error(ErrorCode::kResourceExhausted, partial + ": can't write: " + std::strerror(errno));
   const Header header = header_of(key);

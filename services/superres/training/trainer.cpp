@@ -15,11 +15,13 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/base/own_file.hpp"
 #include "common/base/parallel.hpp"
 #include "common/base/statistics.hpp"
 #include "common/base/whole_file.hpp"
 #include "common/features/channels.hpp"
 #include "services/superres/bundle/bundle.hpp"
+#include "services/superres/bundle/folder.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/communicator.hpp"
 #include "services/superres/training/log.hpp"
@@ -143,6 +145,7 @@ class Trainer {
     std::filesystem::create_directories(config_.output, error);
     if (error)
       throw Error(ErrorCode::kResourceExhausted, config_.output + ": can't make the folder: " + error.message());
+    if (first()) require_own_output();
     network_.to(device_);
     averaged_.to(device_);
     if (device_.is_cpu() && config_.kernels == "own") {
@@ -379,10 +382,22 @@ class Trainer {
     say(line);
   }
 
-  void write_curves() const {
-    const std::string path = config_.output + "/log.html";
-    write_whole_file(path, curves_page(config_.name, history_, result_.baseline));
+  std::string curves_file() const { return config_.output + "/log.html"; }
+
+  /// What a training replaces must be a training's. A check-point that is none ends it anyway.
+  void require_own_output() const {
+    require_replaceable(log_, kLogMarks);
+    require_replaceable(curves_file(), kCurvesMarks);
+    bool bundle = true;
+    try {
+      if (std::filesystem::exists(bundle_)) read_metadata(config_.output, config_.name);
+    } catch (const Error&) {
+      bundle = false;
+    }
+    require_absent_or(bundle, bundle_);
   }
+
+  void write_curves() const { write_whole_file(curves_file(), curves_page(config_.name, history_, result_.baseline)); }
 
   template <typename Body>
   void for_validation_frames(const Body& body) const {

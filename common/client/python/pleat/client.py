@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import collections
 import os
 import pathlib
 import queue
 import subprocess
 import tempfile
+import time
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Sequence as Sequence_
 
@@ -20,6 +22,8 @@ from pleat.mesh import Mesh, Obstacle
 from pleat.v1 import common_pb2, coordinator_pb2, coordinator_pb2_grpc
 
 _MESSAGE_LIMIT = 64 << 20
+_CHECKPOINT_INTERVAL = 25  # frames
+_MOST_KEPT = 4 * _CHECKPOINT_INTERVAL + 64
 
 
 class PleatError(RuntimeError):
@@ -56,18 +60,19 @@ class Job:
     frames_complete: int
     error: str
     result_path: str  #: on the coordinator's host
+    owner: str
 
 
 class Session:
     """A live session. Close it, or use it in a `with`."""
 
     def __init__(self, client: "Client", garment: Mesh, model: str, frame_time_s: float, obstacles: Sequence_[Obstacle],
-                 window: int, rounds: Optional[int], detail: str, material: str, held: Sequence_[int]) -> None:
+                 window: int, rounds: Optional[int], detail: str, material: str, held: Sequence_[int],
+                 patience_s: float) -> None:
         self._address = client.address
         self._obstacles = list(obstacles)
         self._frame_time_s = frame_time_s
         self._next = 0
-        self._requests: "queue.SimpleQueue[Optional[coordinator_pb2.EnhanceRequest]]" = queue.SimpleQueue()
         opening = coordinator_pb2.EnhanceOpen(
             coarse=_topology(garment), model=model, frame_time_s=frame_time_s, window=window, detail=_detail(detail),
             obstacles=[common_pb2.ObstacleShape(name=o.name, faces=o.faces.ravel(), capsules=o.capsules)
@@ -79,9 +84,17 @@ class Session:
         if rounds is not None:
             opening.subdivision_rounds = rounds
         self._vertices = len(garment.positions)
-        self._call = client._stub.Enhance(iter(self._requests.get, None))
-        self._requests.put(coordinator_pb2.EnhanceRequest(open=opening))
-        opened = self._answer().opened
+        self._client = client
+        self._patience_s = patience_s
+        self._kept: "collections.deque[coordinator_pb2.EnhanceRequest]" = collections.deque()  # since the checkpoint
+        self._answered = 0  # of them
+        if patience_s > 0:
+            opening.checkpoint_interval = _CHECKPOINT_INTERVAL
+        self._opening = opening
+        self._start()
+        opened = self._receive().opened
+        self._opening.model = opened.model
+        self._opening.detail = opened.detail
         self.fine = Mesh(np.array(opened.fine.rest_positions, np.float32).reshape(-1, 3),
                          np.array(opened.fine.faces, np.uint32).reshape(-1, 3),
                          np.array(opened.fine.uv, np.float32).reshape(-1, 2),
@@ -139,10 +152,21 @@ class Session:
         frame = coordinator_pb2.EnhanceFrame(
             coarse=common_pb2.Frame(index=index, time_s=index * self._frame_time_s, positions=array.ravel()),
             obstacles=[_obstacle(obstacle, index) for obstacle in self._obstacles])
-        self._requests.put(coordinator_pb2.EnhanceRequest(frame=frame))
+        request = coordinator_pb2.EnhanceRequest(frame=frame)
+        if self._patience_s > 0:
+            self._kept.append(request)
+            if len(self._kept) > _MOST_KEPT:  # the coordinator makes no checkpoints
+                self._patience_s = 0
+                self._kept.clear()
+        self._requests.put(request)
         return index
 
-    def _answer(self) -> coordinator_pb2.EnhanceResponse:
+    def _start(self) -> None:
+        self._requests: "queue.SimpleQueue[Optional[coordinator_pb2.EnhanceRequest]]" = queue.SimpleQueue()
+        self._call = self._client._stub.Enhance(iter(self._requests.get, None), metadata=self._client._metadata)
+        self._requests.put(coordinator_pb2.EnhanceRequest(open=self._opening))
+
+    def _receive(self) -> coordinator_pb2.EnhanceResponse:
         try:
             return next(self._call)
         except StopIteration:
@@ -150,13 +174,61 @@ class Session:
         except grpc.RpcError as error:
             raise _error(self._address, error) from None
 
+    def _answer(self) -> coordinator_pb2.EnhanceResponse:
+        try:
+            answer = self._receive()
+        except PleatError as error:
+            if error.code != "UNAVAILABLE" or self._patience_s <= 0:
+                raise
+            self._resume(error)
+            return self._answer()
+        self._answered += 1
+        self._take(answer, self._answered)
+        return answer
+
+    def _take(self, answer: coordinator_pb2.EnhanceResponse, frames: int) -> None:
+        """Forgets what lies before the checkpoint that comes with an answer: so many of the frames that are kept."""
+        if not answer.checkpoint or self._patience_s <= 0:
+            return
+        self._opening.checkpoint = answer.checkpoint
+        for _ in range(frames):
+            self._kept.popleft()
+        self._answered -= frames
+
+    def _resume(self, cause: PleatError) -> None:
+        """Opens the session again behind its checkpoint, and gets to where it was."""
+        deadline = time.monotonic() + self._patience_s
+        while True:
+            try:
+                self._requests.put(None)
+                self._start()
+                self._receive()
+                for request in self._kept:
+                    self._requests.put(request)
+                newest, frames = None, 0
+                for k in range(self._answered):
+                    answer = self._receive()
+                    if answer.checkpoint:
+                        newest, frames = answer, k + 1
+                if newest is not None:
+                    self._take(newest, frames)
+                return
+            except PleatError as error:
+                if error.code != "UNAVAILABLE":
+                    raise
+                if time.monotonic() > deadline:
+                    self._patience_s = 0
+                    raise cause from None
+                time.sleep(0.1)
+
 
 class Client:
     """A connection to a coordinator. Close it, or use it in a `with`."""
 
     def __init__(self, address: str, services: Optional[LocalServices] = None,
-                 credentials: Optional[grpc.ChannelCredentials] = None) -> None:
+                 credentials: Optional[grpc.ChannelCredentials] = None, token: Optional[str] = None) -> None:
         self.address = address
+        self._metadata = [("authorization", f"Bearer {token}")] if token else []
         self._services = services
         options = [("grpc.max_receive_message_length", _MESSAGE_LIMIT), ("grpc.max_send_message_length", _MESSAGE_LIMIT)]
         self._channel = (grpc.secure_channel(address, credentials, options) if credentials is not None else
@@ -165,14 +237,16 @@ class Client:
 
     def session(self, garment: Mesh, *, model: str = "", frame_time_s: float = 0.04,
                 obstacles: Sequence_[Obstacle] = (), window: int = 0, rounds: Optional[int] = None,
-                detail: str = "", material: "str | os.PathLike[str]" = "", held: Sequence_[int] = ()) -> Session:
+                detail: str = "", material: "str | os.PathLike[str]" = "", held: Sequence_[int] = (),
+                patience_s: float = 30) -> Session:
         """Opens a live session. model: a bundle's name, "" for the coordinator's default. window: frames in flight, 0
         for 4. rounds: of subdivision from the coarse to the fine mesh, None for the bundle's. detail: what makes the
         wrinkles, "network", "fold" (the fold step, which needs no bundle), "both" or "none" (smooth upsampling alone);
         "": a network where a bundle is named, else the fold step. For the fold step: material, a file in ARCSim's
-        format, "" for Gray Interlock; held, coarse vertices that the cloth is held at all the time."""
+        format, "" for Gray Interlock; held, coarse vertices that the cloth is held at all the time. patience_s: how
+        long the coordinator may stay away in the middle of the session, which then goes on where it was."""
         text = pathlib.Path(material).read_text(encoding="utf-8") if material else ""
-        return Session(self, garment, model, frame_time_s, obstacles, window, rounds, detail, text, held)
+        return Session(self, garment, model, frame_time_s, obstacles, window, rounds, detail, text, held, patience_s)
 
     def run(self, scene: "str | os.PathLike[str]", out: "str | os.PathLike[str] | None" = None, *, model: str = "",
             frames: int = 0) -> Result:
@@ -200,10 +274,14 @@ class Client:
     def cancel_job(self, job_id: str) -> Job:
         return _job(self._ask(self._stub.CancelJob, coordinator_pb2.CancelJobRequest(id=job_id)))
 
+    def remove_job(self, job_id: str) -> Job:
+        """One that has ended, with its files; as it was."""
+        return _job(self._ask(self._stub.RemoveJob, coordinator_pb2.RemoveJobRequest(id=job_id)))
+
     def watch(self, job_id: str) -> Iterator[Job]:
         """The job as it changes, at least every second while it runs; the last is how it ended."""
         try:
-            for event in self._stub.WatchJob(coordinator_pb2.WatchJobRequest(id=job_id)):
+            for event in self._stub.WatchJob(coordinator_pb2.WatchJobRequest(id=job_id), metadata=self._metadata):
                 if event.HasField("progress"):
                     yield _job(event.progress)
         except grpc.RpcError as error:
@@ -222,18 +300,19 @@ class Client:
 
     def _ask(self, call: Callable[..., Any], request: Any) -> Any:
         try:
-            return call(request, timeout=30)
+            return call(request, timeout=30, metadata=self._metadata)
         except grpc.RpcError as error:
             raise _error(self.address, error) from None
 
 
 def connect(address: Optional[str] = None, *, program: Optional[str] = None, timeout_s: float = 30,
-            credentials: Optional[grpc.ChannelCredentials] = None) -> Client:
+            credentials: Optional[grpc.ChannelCredentials] = None, token: Optional[str] = None) -> Client:
     """A connection to the coordinator at `address` (unix:PATH, HOST:PORT), or at $PLEAT_COORDINATOR. Without either
-    `pleat up` is started here (program: which one) and ended by Client.close(). credentials: for other hosts."""
+    `pleat up` is started here (program: which one) and ended by Client.close(). credentials: for other hosts; token: for a
+    coordinator that wants one."""
     address = address or os.environ.get("PLEAT_COORDINATOR")
     services = None if address else LocalServices(program)
-    client = Client(address or services.address, services, credentials)  # type: ignore[union-attr]
+    client = Client(address or services.address, services, credentials, token)  # type: ignore[union-attr]
     try:
         grpc.channel_ready_future(client._channel).result(timeout=timeout_s)
     except grpc.FutureTimeoutError:
@@ -280,7 +359,7 @@ def _frame(message: coordinator_pb2.EnhancedFrame) -> EnhancedFrame:
 def _job(message: coordinator_pb2.Job) -> Job:
     state = coordinator_pb2.Job.State.Name(message.state).replace("STATE_", "").lower()
     return Job(message.id, message.scene_name, state, message.frames, message.frames_complete, message.error,
-               message.result_path)
+               message.result_path, message.owner)
 
 
 def _code_name(code: int) -> str:

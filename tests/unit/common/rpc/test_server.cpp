@@ -13,6 +13,7 @@
 #include <fstream>
 #include <thread>
 
+#include "tests/support/certificates.hpp"
 #include "tests/unit/common/rpc/sample_service.hpp"
 
 namespace pleat::rpc {
@@ -154,54 +155,41 @@ TEST(ServerAddress, OtherHostsNeedTls) {
             ErrorCode::kNotFound);
 }
 
-/// A certificate authority and a certificate of it, made by the openssl command.
-class Certificates {
- public:
-  explicit Certificates(const std::string& name) : folder_("/tmp/pleat-test-" + name + "-" + std::to_string(getpid())) {
-    std::filesystem::create_directories(folder_);
-    const std::string script =
-        "cd " + folder_ +
-        " && openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=authority -keyout ca.key -out ca.pem"
-        " && openssl req -newkey rsa:2048 -nodes -subj /CN=pleat.test -keyout key.pem -out request.pem"
-        " && printf 'subjectAltName=DNS:pleat.test' > names"
-        " && openssl x509 -req -days 2 -in request.pem -CA ca.pem -CAkey ca.key -CAcreateserial -extfile names"
-        " -out certificate.pem";
-    made_ = std::system(("(" + script + ") > /dev/null 2>&1").c_str()) == 0;
-  }
-  ~Certificates() {
-    std::error_code error;
-    std::filesystem::remove_all(folder_, error);
-  }
-  Certificates(const Certificates&) = delete;
-  Certificates& operator=(const Certificates&) = delete;
-  bool made() const { return made_; }
-  TlsOptions tls() const {
-    return {folder_ + "/ca.pem", folder_ + "/certificate.pem", folder_ + "/key.pem", "pleat.test"};
-  }
-
- private:
-  std::string folder_;
-  bool made_ = false;
-};
-
 TEST(ServerTls, OnlyClientsOfTheSameAuthorityGetIn) {
-  const Certificates ours("ours"), theirs("theirs");
+  const test::Certificates ours, theirs;
   if (!ours.made() || !theirs.made()) GTEST_SKIP() << "no openssl command";
   SampleRefinement service;
   ServerOptions options;
   options.listen = "0.0.0.0:0";
-  options.tls = ours.tls();
+  options.tls = ours.server();
   const Server server(options, {{&service, "pleat.v1.Refinement"}});
   const std::string address = "127.0.0.1" + server.address().substr(server.address().rfind(':'));
-  wait_healthy(create_channel(address, ours.tls()), "pleat.v1.Refinement", address, 10s);
+  wait_healthy(create_channel(address, ours.client()), "pleat.v1.Refinement", address, 10s);
   EXPECT_FALSE(is_healthy(create_channel(address), "pleat.v1.Refinement", 500ms)) << "without TLS";
-  EXPECT_FALSE(is_healthy(create_channel(address, theirs.tls()), "pleat.v1.Refinement", 500ms)) << "another authority";
-  TlsOptions stranger = theirs.tls();
-  stranger.ca_file = ours.tls().ca_file;  // trusts us, but we do not know it
+  EXPECT_FALSE(is_healthy(create_channel(address, theirs.client()), "pleat.v1.Refinement", 500ms))
+      << "another authority";
+  TlsOptions stranger = theirs.client();
+  stranger.ca_file = ours.client().ca_file;  // trusts us, but we do not know it
   EXPECT_FALSE(is_healthy(create_channel(address, stranger), "pleat.v1.Refinement", 500ms));
-  TlsOptions other_name = ours.tls();
+  TlsOptions other_name = ours.client();
   other_name.server_name = "elsewhere.test";
   EXPECT_FALSE(is_healthy(create_channel(address, other_name), "pleat.v1.Refinement", 500ms));
+  other_name.server_name = "localhost";
+  EXPECT_TRUE(is_healthy(create_channel(address, other_name), "pleat.v1.Refinement", 5s));
+}
+
+TEST(ServerHealth, TellsWhetherThereIsRoom) {
+  SampleRefinement service;
+  ServerOptions options;
+  options.listen = "127.0.0.1:0";
+  bool room = true;
+  Server server(options, {{&service, "pleat.v1.Refinement", {}, [&] { return room; }}});
+  const auto channel = create_channel(server.address());
+  wait_healthy(channel, "pleat.v1.Refinement.room", server.address(), 5s);
+  room = false;
+  server.show_room();
+  EXPECT_FALSE(is_healthy(channel, "pleat.v1.Refinement.room", 5s));
+  EXPECT_TRUE(is_healthy(channel, "pleat.v1.Refinement", 5s)) << "who is full still serves";
 }
 
 /// The sample service as a process of its own.

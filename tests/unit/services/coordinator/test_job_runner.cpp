@@ -339,7 +339,12 @@ TEST_F(JobsTest, JobsBeyondTheLimitAreQueued) {
   ASSERT_TRUE(eventually([&] { return get("a").frames_complete() > 0; }));
   create(3, "b");
   EXPECT_EQ(get("b").state(), v1::Job::STATE_QUEUED);
+  EXPECT_TRUE(service_->has_room());
   create(3, "c");
+  EXPECT_EQ(get("b").queue_place(), 1U);
+  EXPECT_EQ(get("c").queue_place(), 2U);
+  EXPECT_EQ(get("a").queue_place(), 0U);
+  EXPECT_FALSE(service_->has_room());
   EXPECT_NE(metrics_.text().find("pleat_queue_depth{edge=\"jobs\",service=\"coordinator\"} 2"), std::string::npos)
       << metrics_.text();
   v1::CreateJobRequest further;
@@ -351,6 +356,54 @@ TEST_F(JobsTest, JobsBeyondTheLimitAreQueued) {
   cancel("a");
   fakes_.simulation().faults.delay(0ms);
   EXPECT_EQ(finished("b").state(), v1::Job::STATE_DONE);
+}
+
+TEST_F(JobsTest, WhatWontFitOnTheDiskDoesNotBegin) {
+  options_.jobs.max_frames = 2'000'000'000;
+  start();
+  v1::CreateJobRequest request;
+  // 241 vertices a frame: more than any disk has.
+  *request.mutable_scene() = testing::fake_scene(2'000'000'000);
+  request.set_job_id("a");
+  request.set_detail(v1::DETAIL_NETWORK);
+  v1::Job job;
+  const grpc::Status status = create(request, &job);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_NE(status.error_message().find("on disk"), std::string::npos) << status.error_message();
+}
+
+TEST_F(JobsTest, TheFilesOfAnOwnerAreLimited) {
+  options_.jobs.max_gb_each = 1e-4;  // 100 kB; a job of 20 frames is 241 x 12 x 20 = 58 kB before it is compressed
+  start();
+  const std::uint64_t expected = create(20, "a").bytes();
+  EXPECT_GE(expected, 241U * 12 * 20);
+  finished("a");
+  EXPECT_NE(get("a").bytes(), expected) << "measured, at the end";
+  v1::CreateJobRequest request;
+  *request.mutable_scene() = testing::fake_scene(40);
+  request.set_job_id("b");
+  v1::Job job;
+  const grpc::Status status = create(request, &job);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_NE(status.error_message().find("the jobs of local have"), std::string::npos) << status.error_message();
+}
+
+TEST_F(JobsTest, JobsAreKeptAsLongAsWanted) {
+  start();
+  create(2, "old");
+  finished("old");
+  stop();
+  start();
+  EXPECT_EQ(get("old").state(), v1::Job::STATE_DONE) << "for ever, unless told otherwise";
+  stop();
+  options_.jobs.keep_days = 1e-9;
+  start();
+  EXPECT_TRUE(eventually([&] {
+    grpc::ClientContext context;
+    v1::ListJobsResponse response;
+    return stub_->ListJobs(&context, v1::ListJobsRequest(), &response).ok() && response.jobs().empty();
+  }));
+  EXPECT_FALSE(std::filesystem::exists(options_.data + "/jobs/old"));
 }
 
 TEST_F(JobsTest, TwoJobsAtOnce) {

@@ -116,6 +116,81 @@ TEST_F(JobTableTest, WhatLiesWhereAJobShouldIsSetAside) {
   EXPECT_EQ(std::string(std::istreambuf_iterator<char>(kept), {}), "mine");
 }
 
+class RemovalTest : public JobTableTest {
+ protected:
+  void end(JobTable& table, const std::string& id) {
+    table.update(id, [](JobRecord& job) { job.state = JobState::kCancelled; });
+  }
+  void write(const std::string& file) {
+    fs::create_directories((data_ / file).parent_path());
+    std::ofstream(data_ / file) << "x";
+  }
+};
+
+TEST_F(RemovalTest, OnlyWhatHasEndedCanBeRemoved) {
+  JobTable table(data_);
+  table.create(request("a"));
+  expect_code(ErrorCode::kFailedPrecondition, [&] { table.remove("a"); });
+  end(table, "a");
+  write("jobs/a/result.h5");
+  EXPECT_EQ(table.remove("a").state, JobState::kCancelled);
+  EXPECT_FALSE(fs::exists(data_ / "jobs/a"));
+  expect_code(ErrorCode::kNotFound, [&] { table.remove("a"); });
+}
+
+TEST_F(RemovalTest, WhatNoCoordinatorMadeStays) {
+  JobTable table(data_);
+  table.create(request("a"));
+  end(table, "a");
+  write("jobs/a/notes.txt");
+  table.remove("a");
+  EXPECT_TRUE(fs::exists(data_ / "jobs/a/notes.txt"));
+  EXPECT_FALSE(fs::exists(data_ / "jobs/a/request.pb"));
+  table.create(request("a"));
+  EXPECT_TRUE(fs::exists(data_ / "jobs/a.aside-1/notes.txt"));
+}
+
+TEST_F(RemovalTest, OneThatWasInterruptedIsFinishedAtTheNextStart) {
+  {
+    JobTable table(data_);
+    table.create(request("a"));
+    end(table, "a");
+  }
+  fs::rename(data_ / "jobs/a", data_ / "jobs/.removing-a");
+  write("jobs/.removing-b/mine");
+  EXPECT_FALSE(JobTable(data_).contains("a"));
+  EXPECT_FALSE(fs::exists(data_ / "jobs/.removing-a"));
+  EXPECT_TRUE(fs::exists(data_ / "jobs/.removing-b/mine")) << "nothing says that it was a job's";
+}
+
+TEST_F(JobTableTest, OwnersShareNoJob) {
+  JobTable table(data_);
+  JobRequest mine = request("a");
+  mine.owner = "alice";
+  mine.bytes = 100;
+  table.create(mine);
+  mine.owner = "bob";
+  expect_code(ErrorCode::kAlreadyExists, [&] { table.create(mine); });
+  EXPECT_EQ(table.holdings("alice").unfinished, 1U);
+  EXPECT_EQ(table.holdings("alice").bytes, 100U);
+  EXPECT_EQ(table.holdings("bob").unfinished, 0U);
+  table.update("a", [](JobRecord& job) { job.state = JobState::kRunning; });
+  table.update("a", [](JobRecord& job) { job.frames_complete = 4; });
+  EXPECT_EQ(table.promised_bytes(), 60U) << "of 10 frames 6 are to come";
+  table.update("a", [](JobRecord& job) { job.state = JobState::kFailed; });
+  EXPECT_EQ(table.promised_bytes(), 0U);
+  EXPECT_EQ(table.holdings("alice").unfinished, 0U);
+  EXPECT_GT(table.get("a").ended_s, 0);
+  EXPECT_EQ(JobTable(temporary_.path() / "other").holdings("alice").bytes, 0U);
+}
+
+TEST_F(JobTableTest, FoldersAreTheUsersAlone) {
+  JobTable table(data_);
+  table.create(request("a"));
+  EXPECT_EQ(fs::status(data_ / "jobs").permissions(), fs::perms::owner_all);
+  EXPECT_EQ(fs::status(data_ / "jobs/a").permissions(), fs::perms::owner_all);
+}
+
 TEST_F(JobTableTest, AForbiddenChangeOfStateChangesNothing) {
   JobTable table(data_);
   table.create(request("a"));

@@ -1,7 +1,11 @@
 #include <limits>
+#include <map>
 #include <memory>
+#include <vector>
 
 #include "common/frame/messages.hpp"
+#include "common/rpc/stream.hpp"
+#include "tests/support/errors.hpp"
 #include "tests/support/raw_stream.hpp"
 #include "tests/unit/services/coordinator/coordinator_fixture.hpp"
 
@@ -374,12 +378,120 @@ TEST_F(LiveSessionTest, ASilentClientMakesRoom) {
   EXPECT_TRUE(eventually([&] { return metrics_.sessions() == 0; }));
 }
 
+TEST_F(LiveSessionTest, AnswersThatNobodyTakesOutOfSharedMemoryEndTheSession) {
+  options_.live.reader_timeout_s = 0.3;
+  start();
+  rpc::FrameStreamOptions stream_options;
+  stream_options.peer = "coordinator";
+  stream_options.same_host = true;
+  rpc::FrameStream<v1::EnhanceRequest, v1::EnhanceResponse> stream(
+      [&](auto* context, auto* call) { stub_->async()->Enhance(context, call); }, stream_options);
+  stream.open(open_request());
+  ASSERT_TRUE(stream.shares_memory());
+  v1::EnhanceResponse response;
+  for (std::uint64_t i = 0; i < 3; ++i) {
+    // Whoever is slow but takes them is not meant.
+    std::this_thread::sleep_for(150ms);
+    stream.push(frame_request(i));
+    ASSERT_TRUE(stream.pop(&response));
+  }
+  stream.push(frame_request(3));
+  ASSERT_TRUE(eventually([&] { return metrics_.sessions() == 0; }))
+      << "long before the time for the next frame is over";
+  const Error error = test::error_of([&] {
+    while (stream.pop(&response)) {
+    }
+  });
+  EXPECT_EQ(error.code(), ErrorCode::kDeadlineExceeded);
+  EXPECT_NE(std::string(error.what()).find("did not take an answer for 300 ms"), std::string::npos) << error.what();
+}
+
 TEST_F(LiveSessionTest, AMeshIsAdmittedBeforeItIsSubdivided) {
   options_.live.max_vertices = 300;
   start();
   v1::EnhanceRequest request = open_request();
   request.mutable_open()->set_subdivision_rounds(5);
   expect_refused(request, grpc::StatusCode::RESOURCE_EXHAUSTED, "open.coarse: 20 vertices, subdivided 5 times");
+}
+
+TEST_F(LiveSessionTest, TheMemoryOfAllSessionsIsLimited) {
+  // One session with a window of 4: 5 x 4 frames of at most 320 fine vertices, 24 bytes each.
+  options_.live.max_live_gb = 1.5 * 5 * 4 * 320 * 24 * 1e-9;
+  start();
+  auto client = open(open_request());
+  expect_refused(open_request(), grpc::StatusCode::RESOURCE_EXHAUSTED, "a smaller window");
+  v1::EnhanceRequest small = open_request();
+  small.mutable_open()->set_window(1);
+  auto another = open(small);
+  another->close();
+  EXPECT_TRUE(another->finish().ok());
+  client->close();
+  EXPECT_TRUE(client->finish().ok());
+  EXPECT_TRUE(eventually([&] {
+    Client next(*stub_);
+    next.send(open_request());
+    return next.receive().has_opened();
+  }));
+}
+
+TEST_F(LiveSessionTest, ASessionGoesOnInAnotherCoordinatorWithTheSameBits) {
+  fakes_.bundle().replace([](v1::ModelDescription& model) {
+    model.mutable_representation()->set_window(3);
+    model.mutable_representation()->set_window_stride(2);
+  });
+  for (const v1::Detail detail : {v1::DETAIL_NETWORK, v1::DETAIL_FOLD, v1::DETAIL_BOTH}) {
+    start();
+    v1::EnhanceRequest request = open_request();
+    request.mutable_open()->set_detail(detail);
+    request.mutable_open()->set_checkpoint_interval(4);
+    v1::EnhanceRequest bad = frame_request(5);
+    bad.mutable_frame()->mutable_coarse()->clear_positions();
+    const auto frame = [&](std::uint64_t i) { return i == 5 ? bad : frame_request(i); };
+    std::vector<v1::EnhanceResponse> whole;
+    std::map<std::uint64_t, std::string> checkpoints;
+    auto client = open(request);
+    for (std::uint64_t i = 0; i < 16; ++i) {
+      client->send(frame(i));
+      whole.push_back(client->receive());
+      ASSERT_EQ(whole.back().has_error(), i == 5) << whole.back().error().message();
+      if (!whole.back().checkpoint().empty()) checkpoints[i + 1] = whole.back().checkpoint();
+    }
+    ASSERT_EQ(checkpoints.size(), 4U);
+    client.reset();
+    stop();
+    start();
+    for (const auto& [next, checkpoint] : checkpoints) {
+      request.mutable_open()->set_checkpoint(checkpoint);
+      const auto again = open(request);
+      for (std::uint64_t i = next; i < 16; ++i) {
+        again->send(frame(i));
+        const v1::EnhanceResponse response = again->receive();
+        ASSERT_EQ(response.has_error(), i == 5);
+        EXPECT_EQ(response.frame().fine().index(), whole[i].frame().fine().index());
+        ASSERT_EQ(positions_from_message(response.frame().fine()), positions_from_message(whole[i].frame().fine()))
+            << "frame " << i << " after " << next << ", detail " << detail;
+      }
+      again->close();
+      EXPECT_TRUE(again->finish().ok());
+    }
+    stop();
+  }
+}
+
+TEST_F(LiveSessionTest, ACheckpointIsCheckedLikeAnyInput) {
+  start();
+  v1::EnhanceRequest request = open_request();
+  request.mutable_open()->set_checkpoint("\x0f");
+  expect_refused(request, grpc::StatusCode::INVALID_ARGUMENT, "open.checkpoint");
+  request.mutable_open()->clear_checkpoint();
+  request.mutable_open()->set_checkpoint_interval(1);
+  const auto client = open(request);
+  client->send(frame_request(0));
+  v1::SessionCheckpoint checkpoint;
+  ASSERT_TRUE(checkpoint.ParseFromString(client->receive().checkpoint()));
+  checkpoint.mutable_earlier(0)->set_positions(4, std::numeric_limits<float>::infinity());
+  request.mutable_open()->set_checkpoint(checkpoint.SerializeAsString());
+  expect_refused(request, grpc::StatusCode::INVALID_ARGUMENT, "open.checkpoint: its frames are damaged");
 }
 
 TEST_F(LiveSessionTest, AStoppingCoordinatorAnswersWhatIsInFlight) {

@@ -215,6 +215,21 @@ TEST_F(TrainerTest, OtherConfigurationOrDataOrDamagedCheckpointIsRefused) {
   refused(data, ErrorCode::kDataLoss, "checkpoint.pt");
 }
 
+TEST_F(TrainerTest, FilesOfOthersInTheOutputFolderAreNamedAndStay) {
+  const PairData data = waves(2, 4);
+  for (const char* name : {"waves.pt", "log.csv", "log.html"}) {
+    TrainConfig c = config(name);
+    const fs::path file = fs::path(c.output) / name;
+    fs::create_directories(c.output);
+    std::ofstream(file) << "mine";
+    const Error error = pleat::test::error_of([&] { train(c, data, nullptr, {}); });
+    EXPECT_EQ(error.code(), ErrorCode::kAlreadyExists);
+    EXPECT_THAT(error.what(), HasSubstr(file.string()));
+    std::ifstream kept(file);
+    EXPECT_EQ(std::string(std::istreambuf_iterator<char>(kept), {}), "mine");
+  }
+}
+
 TEST_F(TrainerTest, InitialWeightsComeFromAnotherTraining) {
   const PairData data = waves(2, 6);
   TrainConfig first = config("first");
