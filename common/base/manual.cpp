@@ -126,7 +126,7 @@ std::string page(const CLI::App& root, const Path& path, const std::string& vers
   if (!flags.empty()) text += ".SH OPTIONS\n" + flags;
   if (const std::string footer = path.app->get_footer(); !footer.empty())
     text += ".SH NOTES\n.nf\n" + roff(footer) + "\n.fi\n";
-  text += ".SH EXIT STATUS\n0: done; 1: failed; 2: wrong usage or input; 3: done, but not free of intersections.\n";
+  text += ".SH EXIT STATUS\n0: done; 1: failed; 2: wrong usage or input.\n";
   if (!path.words.empty()) text += ".SH SEE ALSO\n.BR " + roff(program) + " (1)\n";
   return text;
 }
