@@ -122,7 +122,7 @@ TEST_F(RefinementServer, AJudgeCountsAndChangesNothing) {
 
   v1::RefineRequest folded = frame(4, dented);
   v1::Frame& coarse = *folded.mutable_frame()->mutable_coarse();
-  coarse.set_positions(1, coarse.positions(1) - 1);  // a corner through the ball
+  coarse.set_positions(3 * 40 + 1, -0.2f);  // the middle, down into the ball
   judge->push(folded);
   ASSERT_TRUE(judge->pop(&response));
   EXPECT_TRUE(response.frame().report().input_intersects());
