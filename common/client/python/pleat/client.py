@@ -205,7 +205,8 @@ class Session:
                 self._receive()
                 for request in self._kept:
                     self._requests.put(request)
-                newest, frames = None, 0
+                newest: Optional[coordinator_pb2.EnhanceResponse] = None
+                frames = 0
                 for k in range(self._answered):
                     answer = self._receive()
                     if answer.checkpoint:
