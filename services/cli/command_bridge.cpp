@@ -85,7 +85,7 @@ void say(const json& answer) {
   std::fflush(stdout);
 }
 
-int bridge(const Options& options) {
+int bridge(Options options) {
   const v1::Detail detail = choose_detail(options.detail, options.model);
   ModelChoice model{options.model, {}};
   std::optional<ScratchFolder> work;
