@@ -78,7 +78,7 @@ FrameTimes even_times(std::vector<double> keys, const std::string& name) {
   double step = span;
   for (std::size_t i = 1; i < keys.size(); ++i) {
     const double gap = keys[i] - keys[i - 1];
-    if (gap > 1e-6 * span) step = std::min(step, gap);
+    if (gap > 1e-7 * span) step = std::min(step, gap);
   }
   const double frames = std::round(span / step);
   if (frames >= static_cast<double>(kMaxFrames)) {
