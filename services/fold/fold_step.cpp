@@ -26,16 +26,13 @@ using Clock = std::chrono::steady_clock;
 
 // By this factor the fine tablecloth wrinkles as one that is simulated in steps of 5 ms (bench_fold_step).
 constexpr float kBending = 0.8f;
-// Damping in proportion to stiffness, of stretching and bending. Cloth loses as much within itself; without it a jerk
-// leaves small folds where the cloth is taut.
-constexpr float kElasticDamping = 2.5e-3f;  // s
-constexpr double kMostSteps = 1000;         // in a frame: it must end
-constexpr int kPullEvery = 4;               // steps
+constexpr double kMostSteps = 1000;  // in a frame: it must end
+constexpr int kPullEvery = 4;        // steps
 // What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
 // less, what is around.
 constexpr float kTangleFrequency = 60;
 constexpr int kTangleRings = 3;
-constexpr float kDetailDamping = 4;  // 1/s, of motion beside the coarse cloth's
+constexpr float kDetailDamping = 8;  // 1/s, of motion beside the coarse cloth's
 constexpr std::size_t kMostTangles = 20'000;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
@@ -86,7 +83,7 @@ struct FoldStep::Work {
   Subdivision subdivision;
   std::uint32_t count, coarse_count;
   int steps;
-  float step_s, frame_s, ahead;
+  float step_s, frame_s;
   refinement::ObstacleField obstacles;
   LayerFinder layers;
   refinement::SelfIntersectionFinder tangles;
@@ -101,7 +98,7 @@ struct FoldStep::Work {
   std::vector<std::uint32_t> pins;
 
   // One more than there are vertices, as scratch place of packs.
-  std::vector<Float4> x, v, before, expected, from, way, given, normals, moved;
+  std::vector<Float4> x, v, before, from, way, given, normals, moved;
   std::span<const LayerContact> layer_contacts;
   std::vector<refinement::FacePair> pairs;
   std::vector<float> tangled, wider;
@@ -118,7 +115,6 @@ struct FoldStep::Work {
         steps(static_cast<int>(std::max(std::ceil(o.frame_time_s / o.step_s - 1e-9), 1.0))),
         step_s(static_cast<float>(o.frame_time_s / steps)),
         frame_s(static_cast<float>(o.frame_time_s)),
-        ahead(kElasticDamping / step_s),
         obstacles(shapes),
         layers(c, s),
         tangles(s.fine.faces, s.fine.vertex_count(), c.faces),
@@ -134,8 +130,7 @@ struct FoldStep::Work {
     tangled.assign(count, 0);
     fixed.assign(count, 0);
     fixed_before.assign(count, 1);  // so that the first frame sets the step
-    for (auto* buffer : {&x, &v, &before, &expected, &from, &way, &given, &normals, &moved})
-      buffer->assign(count + 1, Float4{});
+    for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
   }
 
   void check(const FoldFrame& frame, const FoldState& state) const {
@@ -175,10 +170,11 @@ struct FoldStep::Work {
     if (fixed == fixed_before) return;
     fixed_before = fixed;
     std::vector<float> mobile(inverse_masses);
-    for (std::uint32_t i = 0; i < count; ++i) mobile[i] = fixed[i] ? 0 : (1 + ahead) * mobile[i];
+    for (std::uint32_t i = 0; i < count; ++i)
+      if (fixed[i]) mobile[i] = 0;
     faces.set_step(mobile, step_s);
     hinges.set_step(mobile, step_s);
-    levels.set_step(fixed, 1 + ahead, step_s);
+    levels.set_step(fixed, step_s);
   }
 
   // The state's cloth, or the upsampled one in its motion; returns whether it had to be that.
@@ -341,18 +337,6 @@ struct FoldStep::Work {
     }
   }
 
-  // Damped by the time T, a constraint C in a step h acts as C + T dC/dt would: with the positions T / h steps ahead,
-  // in which everything is 1 + T / h times as mobile. What the cloth moves with the coarse one isn't damped.
-  void look_ahead() {
-    for (std::uint32_t i = 0; i < count; ++i) {
-      expected[i] = before[i] + way[i] / static_cast<float>(steps);
-      x[i] += ahead * (x[i] - expected[i]);
-    }
-  }
-  void look_back() {
-    for (std::uint32_t i = 0; i < count; ++i) x[i] = (x[i] + ahead * expected[i]) / (1 + ahead);
-  }
-
   void step(int index, bool guided, bool restarted) {
     const float middle = (static_cast<float>(index) + 0.5f) / static_cast<float>(steps);
     const float end = (static_cast<float>(index) + 1) / static_cast<float>(steps);
@@ -386,11 +370,9 @@ struct FoldStep::Work {
       x[i] += step_s * v[i];
     }
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
-    look_ahead();
     levels.solve(x);
     faces.solve(x, false);
     hinges.solve(x);
-    look_back();
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
     sort_layers();
     keep_out();

@@ -2,11 +2,14 @@
 
 #include <algorithm>
 #include <unordered_map>
+#include <utility>
 
 #include "common/mesh/connectivity.hpp"
 
 namespace pleat::fold {
 namespace {
+
+constexpr int kSmoothRounds = 2;  // of the coarsest level's moves
 
 std::uint64_t key(std::uint32_t a, std::uint32_t b) { return (std::uint64_t{std::min(a, b)} << 32) | std::max(a, b); }
 
@@ -14,7 +17,9 @@ std::uint64_t key(std::uint32_t a, std::uint32_t b) { return (std::uint64_t{std:
 
 CoarserLevels::CoarserLevels(const Topology& coarse, const Subdivision& subdivision,
                              const simulation::Material& material)
-    : parents_(static_cast<std::size_t>(subdivision.fine.vertex_count())), moved_(parents_.size()) {
+    : parents_(static_cast<std::size_t>(subdivision.fine.vertex_count())),
+      moved_(parents_.size()),
+      smoothed_(parents_.size()) {
   const auto nowhere = static_cast<std::uint32_t>(parents_.size());
   for (std::size_t round = 0; round + 1 < subdivision.level_sizes.size(); ++round) {
     const Topology mesh = round == 0 ? coarse : subdivide(coarse, static_cast<int>(round)).fine;
@@ -23,6 +28,17 @@ CoarserLevels::CoarserLevels(const Topology& coarse, const Subdivision& subdivis
     for (const float mass : lumped_masses(mesh, material.density)) level.inverse_masses.push_back(1 / mass);
     level.faces = FacePacks(stretch_faces(mesh, material), nowhere);
     add_parents(mesh, subdivision, round);
+    if (round > 0) continue;
+    std::vector<std::vector<std::uint32_t>> neighbours(level.size);
+    for (const Edge& edge : build_connectivity(mesh.vertex_count(), mesh.faces).edges) {
+      neighbours[edge.v0].push_back(edge.v1);
+      neighbours[edge.v1].push_back(edge.v0);
+    }
+    ring_begin_.push_back(0);
+    for (const auto& list : neighbours) {
+      ring_.insert(ring_.end(), list.begin(), list.end());
+      ring_begin_.push_back(static_cast<std::uint32_t>(ring_.size()));
+    }
   }
 }
 
@@ -38,19 +54,45 @@ void CoarserLevels::add_parents(const Topology& mesh, const Subdivision& subdivi
   }
 }
 
-void CoarserLevels::set_step(std::span<const char> fixed, float mobility, float step_s) {
+void CoarserLevels::set_step(std::span<const char> fixed, float step_s) {
+  fixed_.assign(fixed.begin(), fixed.end());
   for (Level& level : levels_) {
     std::vector<float> mobile(level.inverse_masses);
-    for (std::uint32_t v = 0; v < level.size; ++v) mobile[v] *= fixed[v] ? 0 : mobility;
+    for (std::uint32_t v = 0; v < level.size; ++v) mobile[v] *= fixed[v] ? 0 : 1;
     level.faces.set_step(mobile, step_s);
+  }
+}
+
+// One pass moves each vertex of the coarsest faces by what its own faces lack. Taken over as it is, that leaves lumps
+// of the size of a face, which lie across the larger folds and break them up into small ones.
+void CoarserLevels::smooth_moves() {
+  const std::uint32_t size = levels_[0].size;
+  for (int round = 0; round < kSmoothRounds; ++round) {
+    for (std::uint32_t v = 0; v < size; ++v) {
+      smoothed_[v] = Float4{};
+      if (fixed_[v]) continue;
+      Float4 sum = moved_[v];
+      for (std::uint32_t r = ring_begin_[v]; r < ring_begin_[v + 1]; ++r) sum += moved_[ring_[r]];
+      smoothed_[v] = sum / static_cast<float>(1 + ring_begin_[v + 1] - ring_begin_[v]);
+    }
+    std::swap(moved_, smoothed_);
   }
 }
 
 void CoarserLevels::solve(std::span<Float4> x) {
   for (const Level& level : levels_) {
-    for (std::uint32_t v = 0; v < level.size; ++v) moved_[v] = -x[v];
+    const bool coarsest = &level == &levels_.front();
+    for (std::uint32_t v = 0; v < level.size; ++v) moved_[v] = x[v];
     level.faces.solve(x, true);
-    for (std::uint32_t v = 0; v < level.size; ++v) moved_[v] += x[v];
+    for (std::uint32_t v = 0; v < level.size; ++v) {
+      const Float4 before = moved_[v];
+      moved_[v] = x[v] - before;
+      if (coarsest) x[v] = before;
+    }
+    if (coarsest) {
+      smooth_moves();
+      for (std::uint32_t v = 0; v < level.size; ++v) x[v] += moved_[v];
+    }
     // With Loop's weights of new vertices: moved linearly, the cloth would get creases along the coarser edges.
     for (auto v = level.size; v < parents_.size(); ++v) {
       const Parents& p = parents_[v];

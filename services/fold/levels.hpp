@@ -17,11 +17,12 @@ class CoarserLevels {
   /// subdivision: of `coarse`, with material coordinates. No levels if it has no rounds.
   CoarserLevels(const Topology& coarse, const Subdivision& subdivision, const simulation::Material& material);
 
-  /// fixed: vertices that stay, (V_fine); mobility: a factor of all others'; the time that a solve() stands for, s.
-  void set_step(std::span<const char> fixed, float mobility, float step_s);
+  /// fixed: vertices that stay, (V_fine); the time that a solve() stands for, s.
+  void set_step(std::span<const char> fixed, float step_s);
 
   /// One pass over the stretched faces of every level, the coarsest first; what that moves carries the finer vertices
-  /// along, smoothly. x: at least V_fine + 1 vertices. O(V_fine levels).
+  /// along, smoothly. The coarsest faces are as large as folds: their moves are averaged over neighbours before. x: at
+  /// least V_fine + 1 vertices. O(V_fine levels).
   void solve(std::span<Float4> x);
 
  private:
@@ -34,11 +35,14 @@ class CoarserLevels {
   struct Parents {
     std::array<std::uint32_t, 2> ends, opposite;
   };
+  void smooth_moves();
   void add_parents(const Topology& mesh, const Subdivision& subdivision, std::size_t round);
 
   std::vector<Level> levels_;
   std::vector<Parents> parents_;
-  std::vector<Float4> moved_;
+  std::vector<std::uint32_t> ring_begin_, ring_;  // neighbours of the coarsest level's vertices
+  std::vector<char> fixed_;                       // as set_step() has it
+  std::vector<Float4> moved_, smoothed_;
 };
 
 }  // namespace pleat::fold
