@@ -70,7 +70,8 @@ TEST(Bridge, AWrongRequestIsNamed) {
   Bridge bridge(client, {});
   const auto cause = [&](const char* request) -> std::string {
     try {
-      bridge.answer(nlohmann::json::parse(request), [](const nlohmann::json&) {}, [] { return false; });
+      bridge.answer(
+          nlohmann::json::parse(request), [](const nlohmann::json&) {}, [] { return false; });
     } catch (const Error& error) {
       return error.what();
     }
