@@ -86,7 +86,7 @@ Pc2Samples::Pc2Samples(const fs::path& path, std::size_t vertices, std::uint64_t
   require_replaceable(path, kMarks);
   // No link is followed: what it points to need not be ours.
   const int descriptor =
-      ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | (first == 0 ? O_TRUNC : 0), 0644);
+      ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | (first == 0 ? O_CREAT | O_TRUNC : 0), 0644);
   if (descriptor < 0) throw_invalid_argument(path.string() + ": can't be written: " + std::strerror(errno));
   file_.reset(::fdopen(descriptor, "r+b"));
   std::array<std::int32_t, 5> header{1, static_cast<std::int32_t>(vertices), 0, 0, 0};

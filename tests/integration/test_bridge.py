@@ -129,8 +129,8 @@ class Bridge(unittest.TestCase):
         exchange.write_obj(self.folder / "body.obj", sphere, faces)
         path = exchange.Pc2Writer(self.folder / "body.pc2", 4)
         for k in range(8):
-            # From below through the cloth's height; the tip stays under it until frame 4.
-            path.add(exchange.to_pleat(sphere, 1) + middle + np.float32([0, -0.18 + 0.02 * k, 0]))
+            # From below through the cloth's height; the tip stays under it until frame 6.
+            path.add(exchange.to_pleat(sphere, 1) + middle + np.float32([0, -0.18 + 0.0135 * k, 0]))
         path.close()
         self.open(obstacles=[{"name": "Body", "mesh": str(self.folder / "body.obj"), "moved": True}])
         frames = self.enhance("body-fine.pc2", 0, 8, obstacles={"Body": path.path})
@@ -148,11 +148,14 @@ class Bridge(unittest.TestCase):
                                ({"open": {"rest": "x.obj", "size": 3}}, "open: unknown key 'size'"),
                                ({"open": {"mesh": "x.obj"}}, "open: rest is missing"),
                                ({"open": {"rest": str(self.folder / "none.obj"), "mesh": "x.obj"}}, "none.obj"),
-                               ({"enhance": {"coarse": 3, "fine": "x.pc2"}}, "coarse: a value of another kind")):
+                               ({"enhance": {}}, "nothing was opened")):
             self.bridge.send(request)
             with self.assertRaisesRegex(bridges.BridgeError, cause):
                 self.bridge.wait("opened")
         self.open()
+        self.bridge.send({"enhance": {"coarse": 3, "fine": "x.pc2"}})
+        with self.assertRaisesRegex(bridges.BridgeError, "coarse: a value of another kind"):
+            self.bridge.wait("enhanced")
         precious = self.folder / "precious.pc2"
         precious.write_text("mine")
         self.bridge.send({"enhance": {"coarse": self.coarse.path, "fine": str(precious)}})

@@ -97,7 +97,7 @@ class Package(unittest.TestCase):
         self.assertGreater(np.abs(felt[1].positions - frames[1].positions).max(), 1e-5)
         with self.assertRaisesRegex(pleat.PleatError, "749"):
             self.client.session(GARMENT, detail="fold", held=[749])
-        with self.assertRaisesRegex(ValueError, "network, fold and both"):
+        with self.assertRaisesRegex(ValueError, "network, fold, both and none"):
             self.client.session(GARMENT, detail="folds")
 
     def test_obstacles_keep_the_cloth_out(self):
