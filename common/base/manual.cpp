@@ -92,7 +92,7 @@ std::string joined(const std::vector<std::string>& words, const std::string& bet
 }
 
 std::string page(const CLI::App& root, const Path& path, const std::string& version) {
-  const std::string program = root.get_name();
+  const std::string& program = root.get_name();
   const std::string spaced = program + (path.words.empty() ? "" : " ") + joined(path.words, " ");
   const std::string name = replaced(spaced, " ", "-");
   const auto options = visible_options(*path.app);
@@ -161,6 +161,7 @@ std::string bash(const CLI::App& root, const std::vector<Path>& paths) {
       names.insert(names.end(), own.begin(), own.end());
       if (own.empty() || !takes_value(*option)) continue;
       std::vector<std::string> patterns;
+      patterns.reserve(own.size());
       for (const std::string& word : own) patterns.push_back(shell_word(key + " " + word));
       values += "    " + joined(patterns, "|") + ") values=" + shell_word(joined(choices(*option), " ")) + " ;;\n";
     }
@@ -312,7 +313,7 @@ std::vector<ManualFile> manual(const CLI::App& root, const std::string& version)
   std::vector<Path> paths;
   collect(root, {}, paths);
   std::vector<ManualFile> files;
-  const std::string name = root.get_name();
+  const std::string& name = root.get_name();
   for (const Path& path : paths) {
     const std::string stem = name + (path.words.empty() ? "" : "-") + joined(path.words, "-");
     files.push_back({"man/man1/" + stem + ".1", page(root, path, version)});
