@@ -95,7 +95,7 @@ class Fitting {
       const double u = std::min(1.0, 1.15 * k / options_.grow_frames), share = u * u * (3 - 2 * u);
       scene.obstacles[0].animation.samples.push_back(shrunk_.at(kThinnest + (1 - kThinnest) * share));
     }
-    const Positions worn = run(std::move(scene));
+    Positions worn = run(std::move(scene));
     const Placement then(worn, garment.mesh.faces, bones_of(body_));
     if (then.enclosure(Vector3d::Zero()).pierced_count == 0) {
       throw Error(ErrorCode::kFailedPrecondition, garment.name + ": has slipped off the body while that grew");
