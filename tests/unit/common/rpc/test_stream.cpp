@@ -259,7 +259,8 @@ TEST_P(Stream, BytesThatAreNoMessageEndTheStreamWithTheirCause) {
   refine_open.set_window(4);
   simulate_open.set_window(4);
   const auto garbage = test::with_first_field("\x0f"), open = test::with_first_field(refine_open.SerializeAsString());
-  for (const auto& messages : {std::vector{garbage}, std::vector{open, garbage}}) {
+  const auto late = test::with_unknown_and_first_field("\x0f");
+  for (const auto& messages : {std::vector{garbage}, std::vector{open, garbage}, std::vector{open, late}}) {
     const grpc::Status refine = test::send_raw<v1::RefineResponse>(channel, "/pleat.v1.Refinement/Refine", messages);
     EXPECT_EQ(refine.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << refine.error_message();
     EXPECT_EQ(refine.error_message(), "bytes that are no message of this stream");

@@ -339,7 +339,8 @@ TEST_F(LiveSessionTest, BytesThatAreNoMessageEndTheSessionWithTheirCause) {
   start();
   const auto garbage = test::with_first_field("\x0f");
   const auto open = test::with_first_field(open_request().open().SerializeAsString());
-  for (const auto& messages : {std::vector{garbage}, std::vector{open, garbage}}) {
+  const auto late = test::with_unknown_and_first_field("\x0f");
+  for (const auto& messages : {std::vector{garbage}, std::vector{open, garbage}, std::vector{open, late}}) {
     const grpc::Status status =
         test::send_raw<v1::EnhanceResponse>(channel_, "/pleat.v1.Coordinator/Enhance", messages);
     EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << status.error_message();
