@@ -94,6 +94,18 @@ Connectivity build_connectivity(Eigen::Index vertex_count, const Faces& faces) {
   return c;
 }
 
+double mean_edge_length(const Topology& topology) {
+  double sum = 0;
+  for (Eigen::Index f = 0; f < topology.face_count(); ++f) {
+    for (int k = 0; k < 3; ++k) {
+      sum += static_cast<double>((topology.rest_positions.row(topology.faces(f, k)) -
+                                  topology.rest_positions.row(topology.faces(f, (k + 1) % 3)))
+                                     .norm());
+    }
+  }
+  return topology.face_count() == 0 ? 0 : sum / static_cast<double>(3 * topology.face_count());
+}
+
 int count_components(Eigen::Index vertex_count, const Faces& faces) {
   std::vector<std::uint32_t> parent(static_cast<std::size_t>(vertex_count));
   std::iota(parent.begin(), parent.end(), 0u);

@@ -29,6 +29,9 @@ struct Connectivity {
 /// Needs a topology that passed validate_topology (manifold edges). O(F).
 Connectivity build_connectivity(Eigen::Index vertex_count, const Faces& faces);
 
+/// Mean length of the faces' sides in the rest mesh, metres; sides of two faces count twice. 0 without faces. O(F).
+double mean_edge_length(const Topology& topology);
+
 /// Number of connected components (by shared vertices) among the vertices that faces use.
 int count_components(Eigen::Index vertex_count, const Faces& faces);
 

@@ -28,6 +28,8 @@ GeometryImageSpec image_from(const v1::GeometryImage& message, std::int64_t max_
                              std::to_string(static_cast<int>(message.layout())));
   }
   spec.base = message.base() == v1::GeometryImage::BASE_TEXELS ? DetailBase::kTexels : DetailBase::kVertices;
+  spec.units =
+      message.units() == v1::GeometryImage::UNITS_COARSE_EDGES ? DetailUnits::kCoarseEdges : DetailUnits::kMetres;
   spec.image.coarse_width = extent(message.width());
   spec.image.coarse_height = extent(message.height());
   if (message.scale() != 0) spec.image.scale = extent(message.scale());

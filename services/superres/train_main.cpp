@@ -35,6 +35,9 @@ int main(int argc, char** argv) {
   bool strict = false;
   app.add_option("config", arguments.config, "JSON file");
   app.add_option("--re-export", arguments.re_export, "OLD.pt: a bundle of an earlier version, written anew to --out");
+  app.add_option("--any-mesh", arguments.any_mesh,
+                 "OLD.pt: a bundle of one mesh, written to --out so that it serves any");
+  app.add_option("--mesh", arguments.mesh, "COARSE.obj: the mesh that OLD.pt was trained on");
   app.add_option("--out", arguments.out, "NEW.pt");
   app.add_option("--set", arguments.changes, "KEY=VALUE: changes a key, for example losses.normal=0; may be repeated")
       ->allow_extra_args(false);

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "common/base/simd.hpp"
+#include "common/mesh/connectivity.hpp"
 
 namespace pleat::conversion {
 namespace {
@@ -28,21 +29,60 @@ Vector8 cross(const Vector8& a, const Vector8& b) {
 }
 Vector8 unit(const Vector8& a) { return (1 / max(sqrt(dot(a, a)), broadcast8(kSmallestLength))) * a; }
 
-/// Differences of positions around eight texels of a row.
+/// Positions around eight texels: rows from above to below, columns from left to right.
+using Neighbourhood = std::array<std::array<Vector8, 3>, 3>;
+
+/// Differences of positions around eight texels.
 struct Steps {
   Vector8 u, v, uu, uv, vv;
 };
 
+Steps steps_of(const Neighbourhood& p) {
+  const Vector8 &here = p[1][1], &left = p[1][0], &right = p[1][2], &above = p[0][1], &below = p[2][1];
+  return {0.5F * (right - left), 0.5F * (below - above), right - 2.0F * here + left,
+          0.25F * (p[2][2] - p[2][0] - p[0][2] + p[0][0]), below - 2.0F * here + above};
+}
+
 /// positions: the texel's place in three extended planes; row: values from one row to the next, plane: to the next
 /// plane.
 Steps steps_at(const float* positions, std::size_t row, std::size_t plane) {
-  const auto at = [&](std::ptrdiff_t dy, std::ptrdiff_t dx) {
-    const float* p = positions + dy * static_cast<std::ptrdiff_t>(row) + dx;
-    return Vector8{load_as<Float8>(p), load_as<Float8>(p + plane), load_as<Float8>(p + 2 * plane)};
+  Neighbourhood around;
+  for (std::size_t y = 0; y < 3; ++y) {
+    for (std::size_t x = 0; x < 3; ++x) {
+      const float* p = positions + (y * row + x) - (row + 1);
+      around[y][x] = {load_as<Float8>(p), load_as<Float8>(p + plane), load_as<Float8>(p + 2 * plane)};
+    }
+  }
+  return steps_of(around);
+}
+
+/// The axes of eight texels.
+struct Axes {
+  Vector8 first, second, normal;
+};
+Axes axes_of(const Steps& s) {
+  const Vector8 normal = unit(cross(s.u, s.v)), first = unit(s.u);
+  return {first, cross(normal, first), normal};
+}
+
+using Features = std::array<Float8, kClothChannels>;
+
+/// n, v: normal and velocity at the texels; iu, iv: 1 / squared length of their steps in the rest mesh.
+Features features_of(const Steps& s, const Axes& a, const Vector8& n, const Vector8& v, Float8 iu, Float8 iv) {
+  const auto strain = [](Float8 squared, Float8 inverse) {
+    return select(inverse > 0, squared * inverse - 1, Float8{});
   };
-  const Vector8 here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(-1, 0), below = at(1, 0);
-  return {0.5F * (right - left), 0.5F * (below - above), right - 2.0F * here + left,
-          0.25F * (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)), below - 2.0F * here + above};
+  return {strain(dot(s.u, s.u), iu), strain(dot(s.v, s.v), iv), dot(s.u, s.v) * sqrt(iu * iv),
+          dot(s.uu, a.first),        dot(s.uu, a.second),       dot(s.uu, a.normal),
+          dot(s.uv, a.first),        dot(s.uv, a.second),       dot(s.uv, a.normal),
+          dot(s.vv, a.first),        dot(s.vv, a.second),       dot(s.vv, a.normal),
+          dot(n, a.first),           dot(n, a.second),          dot(v, a.first),
+          dot(v, a.second),          dot(v, a.normal)};
+}
+
+Float8 inverse_square(const Vector8& step) {
+  const Float8 squared = dot(step, step);
+  return select(squared > broadcast8(kSmallestStep), 1 / squared, Float8{});
 }
 
 /// Up to eight values of a dense row.
@@ -60,6 +100,41 @@ void store_some(float* to, const Float8& v, int count) {
   for (int i = 0; i < count; ++i) to[i] = v[i];
 }
 
+/// The positions around one texel, in a lane; what is not of its chart continues linearly from the other side.
+void gather(const std::array<bool, 9>& of_chart, const float* positions, std::size_t row, std::size_t plane, int lane,
+            Neighbourhood& around) {
+  std::array<Eigen::Vector3f, 9> p;
+  const auto at = [&](std::size_t k) {
+    const float* from = positions + (k / 3 * row + k % 3) - (row + 1);
+    return Eigen::Vector3f(from[0], from[plane], from[2 * plane]);
+  };
+  p[4] = at(4);
+  for (const std::size_t k : {1U, 3U, 5U, 7U}) {
+    const std::size_t opposite = 8 - k;
+    p[k] = of_chart[k] ? at(k) : of_chart[opposite] ? Eigen::Vector3f(2 * p[4] - at(opposite)) : p[4];
+  }
+  for (const std::size_t k : {0U, 2U, 6U, 8U}) {
+    // Its neighbours beside and above or below the middle, and those across from it.
+    const std::size_t beside = 3 + k % 3, above = k / 3 * 3 + 1, opposite = 8 - k;
+    const std::size_t across_row = 2 * beside - k, across_column = 2 * above - k;
+    if (of_chart[k]) {
+      p[k] = at(k);
+    } else if (of_chart[across_row]) {
+      p[k] = 2 * p[beside] - at(across_row);
+    } else if (of_chart[across_column]) {
+      p[k] = 2 * p[above] - at(across_column);
+    } else if (of_chart[opposite]) {
+      p[k] = 2 * p[beside] + 2 * p[above] - 4 * p[4] + at(opposite);
+    } else {
+      p[k] = p[beside] + p[above] - p[4];
+    }
+  }
+  for (std::size_t k = 0; k < 9; ++k) {
+    Vector8& to = around[k / 3][k % 3];
+    to.x[lane] = p[k].x(), to.y[lane] = p[k].y(), to.z[lane] = p[k].z();
+  }
+}
+
 }  // namespace
 
 const std::vector<std::string>& cloth_channel_names() {
@@ -71,7 +146,8 @@ const std::vector<std::string>& cloth_channel_names() {
   return names;
 }
 
-ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width)
+ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width, const std::vector<std::uint32_t>& charts,
+                     const std::vector<std::uint32_t>& shown)
     : height_(height), width_(width), row_((static_cast<std::size_t>(width) + 2 + 2 * kLanes - 1) / kLanes * kLanes) {
   // Positions that do not move show the rest mesh.
   rest_.assign(rest.size(), 0.0F);
@@ -81,15 +157,44 @@ ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width)
   const std::size_t plane = row_ * static_cast<std::size_t>(height + 2);
   inverse_u_.assign(row_ * static_cast<std::size_t>(height), 0.0F);
   inverse_v_ = inverse_u_;
-  const auto inverse = [](Float8 squared) {
-    return select(squared > broadcast8(kSmallestStep), 1 / squared, Float8{});
-  };
   for (std::size_t y = 0; y < static_cast<std::size_t>(height); ++y) {
     for (int x = 0; x < width; x += kLanes) {
       const Steps r = steps_at(positions.data() + (y + 1) * row_ + static_cast<std::size_t>(x) + 1, row_, plane);
-      store_to(inverse_u_.data() + y * row_ + x, inverse(dot(r.u, r.u)));
-      store_to(inverse_v_.data() + y * row_ + x, inverse(dot(r.v, r.v)));
+      store_to(inverse_u_.data() + y * row_ + x, inverse_square(r.u));
+      store_to(inverse_v_.data() + y * row_ + x, inverse_square(r.v));
     }
+  }
+  for (std::size_t i = 0; i < charts.size(); ++i) {
+    if (charts[i] == kNone) padding_.push_back({i, shown[i]});
+  }
+  if (!charts.empty()) find_rims(charts, positions.data());
+}
+
+/// positions: of the rest mesh.
+void ClothAxes::find_rims(const std::vector<std::uint32_t>& charts, const float* positions) {
+  const std::size_t plane = row_ * static_cast<std::size_t>(height_ + 2);
+  for (int y = 0; y < height_; ++y) {
+    for (int x = 0; x < width_; ++x) {
+      const auto texel = static_cast<std::size_t>(y * width_ + x);
+      if (charts[texel] == kNone) continue;
+      RimTexel rim{texel, static_cast<std::size_t>(y + 1) * row_ + static_cast<std::size_t>(x + 1), {}, 0, 0};
+      bool is_rim = false;
+      for (int k = 0; k < 9; ++k) {
+        const int ny = y + k / 3 - 1, nx = x + k % 3 - 1;
+        const bool inside = ny >= 0 && ny < height_ && nx >= 0 && nx < width_;
+        const bool same = inside && charts[static_cast<std::size_t>(ny * width_ + nx)] == charts[texel];
+        rim.of_chart[static_cast<std::size_t>(k)] = same;
+        is_rim = is_rim || (inside && !same);
+      }
+      if (is_rim) rims_.push_back(rim);
+    }
+  }
+  for (RimTexel& rim : rims_) {
+    Neighbourhood around{};
+    gather(rim.of_chart, positions + rim.place, row_, plane, 0, around);
+    const Steps r = steps_of(around);
+    rim.inverse_u = inverse_square(r.u)[0];
+    rim.inverse_v = inverse_square(r.v)[0];
   }
 }
 
@@ -124,9 +229,9 @@ void ClothAxes::compute(const float* image, Scratch& scratch, float* features, f
       const int count = static_cast<int>(std::min<std::size_t>(kLanes, w - x));
       const std::size_t texel = y * w + x;
       const Steps s = steps_at(scratch.data() + (y + 1) * row_ + x + 1, row_, plane);
-      const Vector8 normal = unit(cross(s.u, s.v)), first = unit(s.u), second = cross(normal, first);
+      const Axes a = axes_of(s);
       if (axes != nullptr) {
-        const Vector8* const all[] = {&first, &second, &normal};
+        const Vector8* const all[] = {&a.first, &a.second, &a.normal};
         for (std::size_t k = 0; k < 3; ++k) {
           store_some(axes + 3 * k * size + texel, all[k]->x, count);
           store_some(axes + (3 * k + 1) * size + texel, all[k]->y, count);
@@ -138,30 +243,46 @@ void ClothAxes::compute(const float* image, Scratch& scratch, float* features, f
         const float* from = image + static_cast<std::size_t>(channel) * size + texel;
         return Vector8{load_some(from, count), load_some(from + size, count), load_some(from + 2 * size, count)};
       };
-      const Vector8 n = seen(kNormalChannel), v = seen(kVelocityChannel);
-      const auto iu = load_as<Float8>(inverse_u_.data() + y * row_ + x),
-                 iv = load_as<Float8>(inverse_v_.data() + y * row_ + x);
-      const auto strain = [](Float8 squared, Float8 inverse) {
-        return select(inverse > 0, squared * inverse - 1, Float8{});
-      };
-      const Float8 values[kClothChannels] = {strain(dot(s.u, s.u), iu),
-                                             strain(dot(s.v, s.v), iv),
-                                             dot(s.u, s.v) * sqrt(iu * iv),
-                                             dot(s.uu, first),
-                                             dot(s.uu, second),
-                                             dot(s.uu, normal),
-                                             dot(s.uv, first),
-                                             dot(s.uv, second),
-                                             dot(s.uv, normal),
-                                             dot(s.vv, first),
-                                             dot(s.vv, second),
-                                             dot(s.vv, normal),
-                                             dot(n, first),
-                                             dot(n, second),
-                                             dot(v, first),
-                                             dot(v, second),
-                                             dot(v, normal)};
+      const Features values = features_of(s, a, seen(kNormalChannel), seen(kVelocityChannel),
+                                          load_as<Float8>(inverse_u_.data() + y * row_ + x),
+                                          load_as<Float8>(inverse_v_.data() + y * row_ + x));
       for (std::size_t c = 0; c < kClothChannels; ++c) store_some(features + c * size + texel, values[c], count);
+    }
+  }
+  if (!rims_.empty()) compute_rims(image, scratch.data(), features, axes);
+  for (const Padding& pad : padding_) {
+    for (std::size_t c = 0; features != nullptr && c < kClothChannels; ++c) features[c * size + pad.texel] = 0;
+    for (std::size_t k = 0; axes != nullptr && k < 9; ++k) axes[k * size + pad.texel] = axes[k * size + pad.shown];
+  }
+}
+
+void ClothAxes::compute_rims(const float* image, const float* positions, float* features, float* axes) const {
+  const std::size_t size = static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
+  const std::size_t plane = row_ * static_cast<std::size_t>(height_ + 2);
+  for (std::size_t begin = 0; begin < rims_.size(); begin += kLanes) {
+    const int count = static_cast<int>(std::min<std::size_t>(kLanes, rims_.size() - begin));
+    Neighbourhood around{};
+    Vector8 n{}, v{};
+    Float8 iu{}, iv{};
+    for (int lane = 0; lane < count; ++lane) {
+      const RimTexel& rim = rims_[begin + static_cast<std::size_t>(lane)];
+      gather(rim.of_chart, positions + rim.place, row_, plane, lane, around);
+      const float* const normal = image + static_cast<std::size_t>(kNormalChannel) * size + rim.texel;
+      const float* const velocity = image + static_cast<std::size_t>(kVelocityChannel) * size + rim.texel;
+      n.x[lane] = normal[0], n.y[lane] = normal[size], n.z[lane] = normal[2 * size];
+      v.x[lane] = velocity[0], v.y[lane] = velocity[size], v.z[lane] = velocity[2 * size];
+      iu[lane] = rim.inverse_u, iv[lane] = rim.inverse_v;
+    }
+    const Steps s = steps_of(around);
+    const Axes a = axes_of(s);
+    const Features values = features_of(s, a, n, v, iu, iv);
+    const Float8* const vectors[] = {&a.first.x,  &a.first.y,  &a.first.z,  &a.second.x, &a.second.y,
+                                     &a.second.z, &a.normal.x, &a.normal.y, &a.normal.z};
+    for (int lane = 0; lane < count; ++lane) {
+      const std::size_t texel = rims_[begin + static_cast<std::size_t>(lane)].texel;
+      for (std::size_t c = 0; features != nullptr && c < kClothChannels; ++c)
+        features[c * size + texel] = values[c][lane];
+      for (std::size_t k = 0; axes != nullptr && k < 9; ++k) axes[k * size + texel] = (*vectors[k])[lane];
     }
   }
 }

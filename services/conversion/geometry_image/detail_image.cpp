@@ -1,17 +1,21 @@
 #include "services/conversion/geometry_image/detail_image.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <functional>
+#include <span>
 #include <string>
 #include <utility>
 
 #include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/simd.hpp"
+#include "common/mesh/connectivity.hpp"
 
 namespace pleat::conversion {
 namespace {
 
+constexpr double kGravity = 9.81;  ///< m/s^2, of the natural velocity
 constexpr float kSmallestWeight = 1e-4F;
 constexpr std::size_t kLargestSide = 4;  ///< places in a coarse texel, along one side, that the constants tell of
 
@@ -121,6 +125,20 @@ std::vector<float> sampled(const std::vector<TexelTaps>& taps, const Positions& 
 
 }  // namespace
 
+DetailUnit detail_unit(const Topology& coarse, DetailUnits units) {
+  float length = 1, velocity = 1;
+  if (units == DetailUnits::kCoarseEdges) {
+    const double edge = mean_edge_length(coarse);
+    if (!(edge > 0)) throw_invalid_argument("geometry image: the edges of the coarse mesh have no length");
+    length = static_cast<float>(edge);
+    velocity = static_cast<float>(std::sqrt(kGravity * edge));
+  }
+  DetailUnit unit{std::vector<float>(kClothChannels, 1.0F), std::vector<float>(3, length)};
+  std::fill(unit.inputs.begin() + kCurvatureChannel, unit.inputs.begin() + kClothNormalChannel, length);
+  std::fill(unit.inputs.begin() + kClothVelocityChannel, unit.inputs.end(), velocity);
+  return unit;
+}
+
 DetailImage::DetailImage(const Topology& coarse, Subdivision subdivision, const RepresentationSpec& spec)
     : GeometryImage(coarse, std::move(subdivision), spec),
       enlarged_(map_.coarse_height(), map_.coarse_width(), map_.spec().scale) {
@@ -128,8 +146,12 @@ DetailImage::DetailImage(const Topology& coarse, Subdivision subdivision, const 
     throw_invalid_argument(
         "geometry image: a layout of detail needs a fine mesh that is a subdivision of the coarse one");
   }
+  unit_ = detail_unit(coarse_, image_spec().units);
+  reads_ = map_.vertex_reads();
+  for (float& weight : reads_.weights) weight *= unit_.answers[0];
   rest_ = sampled(map_.coarse_taps(), coarse_.rest_positions);
-  cloth_axes_ = std::make_unique<ClothAxes>(rest_, map_.coarse_height(), map_.coarse_width());
+  cloth_axes_ = std::make_unique<ClothAxes>(rest_, map_.coarse_height(), map_.coarse_width(), map_.coarse_charts(),
+                                            map_.coarse_shown());
   fine_corners_ = vertex_corners(subdivision_, coarse_.faces);
   const VertexReads texels = texel_corners(map_.fine_taps(), fine_corners_);
   make_constants(texels);
@@ -181,6 +203,12 @@ void DetailImage::encode_frame(const Frame& frame, const RigidTransform& alignme
   scratch->image.resize(kFrameChannels * coarse_texels());
   map_.coarse_image(frame, alignment, scratch->image.data());
   cloth_axes_->compute(scratch->image.data(), scratch->positions, planes, nullptr);
+  const std::size_t texels = coarse_texels();
+  for (std::size_t c = 0; c < unit_.inputs.size(); ++c) {
+    const float unit = unit_.inputs[c];
+    if (unit == 1) continue;
+    for (float& value : std::span(planes + c * texels, texels)) value /= unit;
+  }
 }
 
 void DetailImage::axes_of(const Positions& coarse, const RigidTransform& alignment, Scratch& scratch,
@@ -220,7 +248,7 @@ void DetailImage::target(const Frame& coarse, const Frame& fine, const RigidTran
   const Pool<Scratch>::Lent scratch(scratch_);
   Positions missing;
   base_positions(coarse.positions, *scratch, missing);
-  missing = ((fine.positions - missing) * alignment.rotation.transpose()).eval();
+  missing = ((fine.positions - missing) * (alignment.rotation.transpose() / unit_.answers[0])).eval();
   shape_answer(answer);
   map_.fine_planes(missing, answer.values.data());
   scratch->axes.resize(9 * coarse_texels());
@@ -238,7 +266,6 @@ void DetailImage::decode(const Tensor& answer, const Positions& coarse, const Ri
   scratch->turned.resize(4 * fine_texels());
   enlarged_.turn(scratch->axes.data(), answer.values.data(), scratch->row, scratch->turned.data());
   pad(coarse, nullptr, scratch->coarse);
-  const VertexReads& reads = map_.vertex_reads();
   const Eigen::Matrix3f& r = alignment.rotation;
   // Rows of R are columns of its inverse.
   const Float4 back[3] = {to_float4(r.row(0).transpose()), to_float4(r.row(1).transpose()),
@@ -246,7 +273,7 @@ void DetailImage::decode(const Tensor& answer, const Positions& coarse, const Ri
   fine.resize(subdivision_.fine.vertex_count(), 3);
   for (Eigen::Index v = 0; v < fine.rows(); ++v) {
     const auto row = static_cast<std::size_t>(v);
-    const Float4 detail = read(reads, row, scratch->turned.data());
+    const Float4 detail = read(reads_, row, scratch->turned.data());
     const Float4 x = read(fine_corners_, row, scratch->coarse.data()) + detail[0] * back[0] + detail[1] * back[1] +
                      detail[2] * back[2];
     fine.row(v) << x[0], x[1], x[2];

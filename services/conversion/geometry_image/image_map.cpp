@@ -5,6 +5,7 @@
 #include <limits>
 #include <mutex>
 #include <string>
+#include <utility>
 
 #include "common/base/checks.hpp"
 #include "common/base/error.hpp"
@@ -169,6 +170,7 @@ struct ImageMap::Maps {
   ImageSpec spec;
   TexelGrid coarse_grid, fine_grid;
   std::vector<std::uint8_t> coarse_mask, fine_mask;
+  std::vector<std::uint32_t> coarse_charts, coarse_shown;
   std::vector<TexelTaps> coarse_taps, fine_taps;
   VertexReads vertex_reads;
   ChartRaster fine_raster;
@@ -267,12 +269,14 @@ ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec
                    grid.v0 + middle * grid.dv, m.spec.scale * grid.du, m.spec.scale * grid.dv};
 
   m.fine_raster = rasterise_charts(m.fine, m.fine_grid, true, "fine mesh");
-  const ChartRaster coarse_raster = rasterise_charts(m.coarse, m.coarse_grid, false, "coarse mesh");
+  ChartRaster coarse_raster = rasterise_charts(m.coarse, m.coarse_grid, false, "coarse mesh");
   m.coarse_mask = make_mask(coarse_raster);
   m.fine_mask = make_mask(m.fine_raster);
   m.coarse_taps = make_taps(m.coarse, coarse_raster);
   m.fine_taps = make_taps(m.fine, m.fine_raster);
   m.vertex_reads = make_vertex_reads(m.fine, m.fine_raster);
+  m.coarse_charts = std::move(coarse_raster.chart);
+  m.coarse_shown = std::move(coarse_raster.padded_by);
 }
 
 ImageMap::~ImageMap() = default;
@@ -286,6 +290,9 @@ int ImageMap::fine_width() const { return maps_->fine_grid.width; }
 int ImageMap::fine_height() const { return maps_->fine_grid.height; }
 const std::vector<std::uint8_t>& ImageMap::coarse_mask() const { return maps_->coarse_mask; }
 const std::vector<std::uint8_t>& ImageMap::fine_mask() const { return maps_->fine_mask; }
+
+const std::vector<std::uint32_t>& ImageMap::coarse_charts() const { return maps_->coarse_charts; }
+const std::vector<std::uint32_t>& ImageMap::coarse_shown() const { return maps_->coarse_shown; }
 
 RigidTransform ImageMap::align(const Positions& coarse_positions) const {
   return kabsch(coarse_positions, maps_->coarse.rest_positions);

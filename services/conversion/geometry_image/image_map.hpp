@@ -78,6 +78,10 @@ class ImageMap {
   /// Any values of the fine vertices (V_fine x 3) as an image, in the same way: 3 H W values.
   void fine_planes(const Positions& values, float* planes) const;
 
+  /// Of each coarse texel: its chart, kNone for padding; and the valid texel whose value it shows, itself if it is one.
+  const std::vector<std::uint32_t>& coarse_charts() const;
+  const std::vector<std::uint32_t>& coarse_shown() const;
+
   /// How a texel is sampled: (h w) of the coarse and (H W) of the fine mesh.
   const std::vector<TexelTaps>& coarse_taps() const;
   const std::vector<TexelTaps>& fine_taps() const;

@@ -39,9 +39,16 @@ enum class DetailBase {
   kTexels,    ///< at the texels: the surface is sampled there, and read with the detail
 };
 
+/// In what a detail layout counts lengths and velocities.
+enum class DetailUnits {
+  kMetres,       ///< metres, m/s
+  kCoarseEdges,  ///< the coarse mesh's mean edge at rest, h, and sqrt(g h): of no mesh in particular
+};
+
 struct GeometryImageSpec {
   ImageLayout layout = ImageLayout::kPublished;
-  DetailBase base = DetailBase::kVertices;  ///< of kDetail
+  DetailBase base = DetailBase::kVertices;   ///< of kDetail
+  DetailUnits units = DetailUnits::kMetres;  ///< of kDetail
   ImageSpec image;
 };
 

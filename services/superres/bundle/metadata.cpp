@@ -14,6 +14,7 @@ constexpr const char* kFormat = "pleat.bundle";
 constexpr int kLargestImageSide = 8192, kMostChannels = 4096;
 constexpr const char* kLayouts[] = {"LAYOUT_PUBLISHED", "LAYOUT_DETAIL", "LAYOUT_POSITIONS"};
 constexpr const char* kBases[] = {"BASE_VERTICES", "BASE_TEXELS"};
+constexpr const char* kUnits[] = {"UNITS_METRES", "UNITS_COARSE_EDGES"};
 constexpr const char* kRotations[] = {"ROTATION_LOGARITHM", "ROTATION_QUATERNION"};
 constexpr const char* kRules[] = {"SUBDIVISION_RULE_MIDPOINT", "SUBDIVISION_RULE_LOOP"};
 
@@ -85,6 +86,7 @@ json document_of(const conversion::VertexFeatureSpec& features) {
 json document_of(const conversion::GeometryImageSpec& image) {
   return {{"layout", kLayouts[static_cast<std::size_t>(image.layout)]},
           {"base", kBases[static_cast<std::size_t>(image.base)]},
+          {"units", kUnits[static_cast<std::size_t>(image.units)]},
           {"width", image.image.coarse_width},
           {"height", image.image.coarse_height},
           {"scale", image.image.scale}};
@@ -116,6 +118,7 @@ conversion::GeometryImageSpec read_image(const Object& object) {
   conversion::GeometryImageSpec spec;
   spec.layout = image.choice<conversion::ImageLayout>("layout", kLayouts);
   spec.base = image.choice<conversion::DetailBase>("base", kBases);
+  spec.units = image.choice<conversion::DetailUnits>("units", kUnits);
   spec.image.coarse_width = image.integer("width", 0, 0, kLargestImageSide);
   spec.image.coarse_height = image.integer("height", 0, 0, kLargestImageSide);
   spec.image.scale = image.integer("scale", conversion::kDefaultScale, 1, conversion::kMostScale);
@@ -138,6 +141,12 @@ void read_representation(const Object& object, Metadata& m) {
 }
 
 }  // namespace
+
+void forget_mesh(Metadata& metadata) {
+  metadata.topology_hash.clear();
+  auto& image = std::get<conversion::GeometryImageSpec>(metadata.representation.kind).image;
+  image.coarse_width = image.coarse_height = 0;
+}
 
 Ports ports_of(const Metadata& metadata) {
   const conversion::AnswerForm form = conversion::answer_form(metadata.representation);

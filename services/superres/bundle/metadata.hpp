@@ -32,6 +32,9 @@ struct Metadata {
   std::int64_t parameters = 0;  ///< number of trained values
 };
 
+/// A bundle of geometry images that serves any mesh, with images as large as each mesh asks for.
+void forget_mesh(Metadata& metadata);
+
 /// What the network of a bundle is put between.
 Ports ports_of(const Metadata& metadata);
 

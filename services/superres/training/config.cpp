@@ -31,9 +31,11 @@ void visit(Visitor& v, Config& c) {
     v.range("passes", c.vertex_features.passes, 0, conversion::kMostPasses);
     v.range("anchor_weight", c.vertex_features.anchor_weight, 1e-6, 1e6);
   });
+  v.choice("serves", c.serves, {"mesh", "any"});
   v.section("images", [&] {
     v.choice("layout", c.images.layout, {"published", "detail", "positions"});
     v.choice("base", c.images.base, {"vertices", "texels"});
+    v.choice("units", c.images.units, {"metres", "coarse_edges"});
     v.range("scale", c.images.scale, 1, conversion::kMostScale);
     v.range("coarse_width", c.images.coarse_width, 0, 2048);
     v.range("coarse_height", c.images.coarse_height, 0, 2048);
@@ -242,6 +244,11 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   }
   if ((config.images.coarse_width == 0) != (config.images.coarse_height == 0)) {
     throw_invalid_argument(source + ": keys 'images.coarse_width' and 'images.coarse_height' go together");
+  }
+  if (config.serves == "any" && (config.representation != "geometry_image" || config.images.layout != "detail" ||
+                                 config.images.units != "coarse_edges" || config.images.coarse_width != 0)) {
+    throw_invalid_argument(source + ": key 'serves' = 'any' needs 'images.layout' = 'detail', 'images.units' = " +
+                           "'coarse_edges' and no size of the image");
   }
   if (!config.published_images() && config.losses.kinematic > 0) {
     throw_invalid_argument(source + ": key 'losses.kinematic' needs velocities, 'images.layout' = 'published'");

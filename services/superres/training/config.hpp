@@ -14,6 +14,7 @@ namespace pleat::superres {
 struct ImagesConfig {
   std::string layout = "published";         ///< "published", "detail" or "positions"
   std::string base = "vertices";            ///< of "detail": where it is added, at "vertices" or "texels"
+  std::string units = "metres";             ///< of "detail": "metres", or "coarse_edges", which are of no mesh
   int coarse_width = 0, coarse_height = 0;  ///< texels; 0: chosen from texels_per_fine_vertex
   int scale = conversion::kDefaultScale;    ///< answers are that many times as high and wide
   double texels_per_fine_vertex = conversion::ImageSpec{}.texels_per_fine_vertex;
@@ -72,6 +73,7 @@ struct TrainConfig {
   std::string output;   ///< folder: NAME.pt, log.csv, checkpoint.pt
   std::uint64_t seed = 1;
   Architecture architecture;
+  std::string serves = "mesh";  ///< the data set's "mesh", or "any" in units that mean the same of each
   std::string representation = "geometry_image";  ///< or "vertex_features"
   ImagesConfig images;                            ///< of the former
   FeaturesConfig vertex_features;                 ///< of the latter

@@ -35,6 +35,7 @@ conversion::GeometryImageSpec image_spec(const ImagesConfig& c) {
                 : c.layout == "positions" ? conversion::ImageLayout::kPositions
                                           : conversion::ImageLayout::kPublished;
   kind.base = c.base == "texels" ? conversion::DetailBase::kTexels : conversion::DetailBase::kVertices;
+  kind.units = c.units == "coarse_edges" ? conversion::DetailUnits::kCoarseEdges : conversion::DetailUnits::kMetres;
   kind.image.texels_per_fine_vertex = c.texels_per_fine_vertex;
   kind.image.coarse_width = c.coarse_width;
   kind.image.coarse_height = c.coarse_height;
@@ -227,7 +228,7 @@ class Loader {
     const ImagesConfig& c = config_.images;
     const FeaturesConfig& f = config_.vertex_features;
     const json content{{"topology", {loaded_.data.topology_hash, info.topology_hash}},
-                       {"images", {c.layout, c.base, key_.width, key_.height, c.scale, c.method, c.lambda}},
+                       {"images", {c.layout, c.base, c.units, key_.width, key_.height, c.scale, c.method, c.lambda}},
                        {"representation", {config_.representation, f.rotation, f.axes}},
                        {"window", {config_.window, config_.window_stride}},
                        {"input", ranges_json(loaded_.data.input_ranges)},

@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "common/base/error.hpp"
+#include "services/superres/bundle/any_mesh.hpp"
 #include "services/superres/bundle/re_export.hpp"
 #include "services/superres/training/followers.hpp"
 #include "services/superres/training/trainer.hpp"
@@ -45,10 +46,14 @@ TrainHooks hooks_of(const TrainArguments& arguments) {
 }  // namespace
 
 void run_training(const TrainArguments& arguments) {
-  if (arguments.re_export.empty() != arguments.out.empty()) {
-    throw_invalid_argument("--re-export OLD.pt and --out NEW.pt go together");
+  if (arguments.any_mesh.empty() != arguments.mesh.empty()) {
+    throw_invalid_argument("--any-mesh OLD.pt and --mesh COARSE.obj go together");
+  }
+  if ((arguments.re_export.empty() && arguments.any_mesh.empty()) != arguments.out.empty()) {
+    throw_invalid_argument("--re-export or --any-mesh OLD.pt and --out NEW.pt go together");
   }
   if (!arguments.re_export.empty()) return re_export(arguments.re_export, arguments.out);
+  if (!arguments.any_mesh.empty()) return serve_any_mesh(arguments.any_mesh, arguments.mesh, arguments.out);
   if (arguments.config.empty()) throw_invalid_argument("no configuration; see pleat-train --help");
   const TrainConfig config = read_train_config(arguments.config, arguments.changes);
   TrainHooks hooks = hooks_of(arguments);

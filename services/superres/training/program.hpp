@@ -9,6 +9,7 @@ namespace pleat::superres {
 
 struct TrainArguments {
   std::string re_export, out;  ///< a bundle of an earlier version, and where to write it anew, instead of training
+  std::string any_mesh, mesh;  ///< a bundle and its coarse mesh; written to `out` so that it serves any mesh
   std::string config;
   std::vector<std::string> changes;  ///< KEY=VALUE
   int processes = 1;
@@ -19,8 +20,8 @@ struct TrainArguments {
   std::atomic<bool>* stop = nullptr;  ///< set to end after the step at hand, with a check-point
 };
 
-/// Trains, or goes on from the check-point; or rewrites a bundle. Throws what read_train_config, load_pairs, train and
-/// re_export throw; kInvalidArgument without a configuration.
+/// Trains, or goes on from the check-point; or rewrites a bundle. Throws what read_train_config, load_pairs, train,
+/// re_export and serve_any_mesh throw; kInvalidArgument without a configuration.
 void run_training(const TrainArguments& arguments);
 
 }  // namespace pleat::superres

@@ -83,5 +83,15 @@ TEST(Connectivity, CountsParts) {
   EXPECT_EQ(count_components(20, faces), 3);
 }
 
+TEST(Connectivity, TheMeanEdgeIsThatOfTheFaces) {
+  Topology t;
+  EXPECT_EQ(mean_edge_length(t), 0);
+  t.rest_positions.resize(4, 3);
+  t.rest_positions << 0, 0, 0, 3, 0, 0, 0, 4, 0, 3, 4, 0;
+  t.faces.resize(2, 3);
+  t.faces << 0, 1, 2, 1, 3, 2;
+  EXPECT_FLOAT_EQ(static_cast<float>(mean_edge_length(t)), 4);
+}
+
 }  // namespace
 }  // namespace pleat

@@ -4,10 +4,12 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <map>
-#include <utility>
+#include <tuple>
 
 #include "common/base/error.hpp"
+#include "common/mesh/connectivity.hpp"
 #include "tests/support/errors.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
@@ -21,6 +23,12 @@ RepresentationSpec spec_of(ImageLayout layout, DetailBase base = DetailBase::kVe
   image.layout = layout;
   image.base = base;
   spec.kind = image;
+  return spec;
+}
+
+RepresentationSpec in_coarse_edges() {
+  RepresentationSpec spec = spec_of(ImageLayout::kDetail);
+  std::get<GeometryImageSpec>(spec.kind).units = DetailUnits::kCoarseEdges;
   return spec;
 }
 
@@ -43,7 +51,7 @@ class EveryLayout : public testing::TestWithParam<RepresentationSpec> {
   // A representation is immutable and costs a factorisation: the tests of a layout share it.
   EveryLayout() {
     const GeometryImageSpec& image = std::get<GeometryImageSpec>(GetParam().kind);
-    auto& shared = shared_[{image.layout, image.base}];
+    auto& shared = shared_[{image.layout, image.base, image.units}];
     if (shared == nullptr) shared = make_representation(test::load_garment("four charts").coarse, GetParam());
     made_ = shared.get();
   }
@@ -52,7 +60,8 @@ class EveryLayout : public testing::TestWithParam<RepresentationSpec> {
   const Representation* made_;
 
  private:
-  static inline std::map<std::pair<ImageLayout, DetailBase>, std::unique_ptr<const Representation>> shared_;
+  using Key = std::tuple<ImageLayout, DetailBase, DetailUnits>;
+  static inline std::map<Key, std::unique_ptr<const Representation>> shared_;
 };
 
 TEST_P(EveryLayout, TheTargetDecodesToTheFineMesh) {
@@ -75,7 +84,9 @@ void expect_form(const Representation& made) {
   const auto input = made.input_shape(), answer = made.answer_shape();
   EXPECT_EQ(answer.at(1), form.scale * input.at(1));
   EXPECT_EQ(answer.at(2), form.scale * input.at(2));
-  if (form.input_size) EXPECT_EQ(*form.input_size, (std::array{input[1], input[2]}));
+  if (form.input_size) {
+    EXPECT_EQ(*form.input_size, (std::array{input[1], input[2]}));
+  }
   const Pair pair = wrinkled(made, 0.4f);
   const RigidTransform alignment = made.align(pair.coarse.positions);
   Tensor answer_of_pair, axes;
@@ -182,7 +193,59 @@ TEST_P(EveryLayout, BadInputIsRefused) {
 INSTANTIATE_TEST_SUITE_P(Layouts, EveryLayout,
                          testing::Values(spec_of(ImageLayout::kPublished), spec_of(ImageLayout::kPositions),
                                          spec_of(ImageLayout::kDetail),
-                                         spec_of(ImageLayout::kDetail, DetailBase::kTexels)));
+                                         spec_of(ImageLayout::kDetail, DetailBase::kTexels), in_coarse_edges()));
+
+/// In coarse edges a cloth three times as large shows the same: its motion takes sqrt(3) times as long.
+TEST(Representation, CoarseEdgesHaveNoScale) {
+  static constexpr float kLarger = 3;
+  const Topology coarse = test::load_garment("four charts").coarse;
+  Topology large = coarse;
+  large.rest_positions *= kLarger;
+  large.uv *= kLarger;
+  const auto one = make_representation(coarse, in_coarse_edges()), two = make_representation(large, in_coarse_edges());
+  ASSERT_EQ(one->input_shape(), two->input_shape());
+  const Pair pair = wrinkled(*one, 0.4f);
+  const auto enlarged = [](Frame frame) {
+    frame.positions *= kLarger;
+    frame.velocities *= std::sqrt(kLarger);
+    return frame;
+  };
+  const Pair other{enlarged(pair.coarse), enlarged(pair.fine)};
+  const RigidTransform a = one->align(pair.coarse.positions), b = two->align(other.coarse.positions);
+  const auto expect_same = [](const Tensor& x, const Tensor& y, const std::vector<std::uint8_t>& mask) {
+    ASSERT_EQ(x.values.size(), y.values.size());
+    std::size_t valid = 0, different = 0;
+    for (std::size_t i = 0; i < x.values.size(); ++i) {
+      if (mask[i % mask.size()] == 0) continue;
+      ++valid;
+      different += std::abs(x.values[i] - y.values[i]) > 2e-3f ? 1 : 0;
+    }
+    EXPECT_LE(different, valid / 500);
+  };
+  Tensor x, y;
+  one->encode(std::span(&pair.coarse, 1), a, x);
+  two->encode(std::span(&other.coarse, 1), b, y);
+  expect_same(x, y, one->input_mask());
+  one->target(pair.coarse, pair.fine, a, x);
+  two->target(other.coarse, other.fine, b, y);
+  expect_same(x, y, one->answer_mask());
+  Positions small, back;
+  one->decode(x, pair.coarse.positions, a, small);
+  two->decode(x, other.coarse.positions, b, back);
+  EXPECT_LT(test::rms(small * kLarger, back), 1e-4);
+}
+
+/// The linear map that training sees is the one of decode().
+TEST(Representation, ReadsAreInMetresWhateverTheUnits) {
+  const Topology coarse = test::load_garment("tablecloth").coarse;
+  const auto metres = make_representation(coarse, spec_of(ImageLayout::kDetail)),
+             edges = make_representation(coarse, in_coarse_edges());
+  const auto edge = static_cast<float>(mean_edge_length(coarse));
+  ASSERT_EQ(metres->reads().weights.size(), edges->reads().weights.size());
+  for (std::size_t i = 0; i < metres->reads().weights.size(); i += 97) {
+    EXPECT_FLOAT_EQ(edges->reads().weights[i], edge * metres->reads().weights[i]);
+  }
+}
 
 class EverySubdivision : public testing::TestWithParam<SubdivisionSpec> {};
 

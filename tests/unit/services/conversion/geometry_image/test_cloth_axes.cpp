@@ -3,9 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <random>
+
+#include "common/mesh/connectivity.hpp"
 
 namespace pleat::conversion {
 namespace {
@@ -165,6 +168,59 @@ TEST(EnlargedAxes, TurnByTheBilinearAxes) {
     }
     enlarged.turn_back(axes.data(), back.data());
     for (std::size_t i = 0; i < back.size(); ++i) EXPECT_NEAR(back[i], values[i], 1e-3);
+  }
+}
+
+/// A chart in the middle of an image is seen as if it were the whole of one.
+TEST(ClothAxes, RimsOfChartsAreLikeThoseOfTheImage) {
+  constexpr int kSmall = 9, kLarge = 14, kAt = 3;
+  const Sample chart(kSmall, kSmall);
+  Sample image(kLarge, kLarge);
+  std::vector<std::uint32_t> charts(kLarge * kLarge, kNone), shown(charts.size());
+  const auto inside = [&](std::size_t y, std::size_t x) {
+    return y >= kAt && y < kAt + kSmall && x >= kAt && x < kAt + kSmall;
+  };
+  const auto small_of = [&](std::size_t y, std::size_t x) { return (y - kAt) * kSmall + x - kAt; };
+  for (std::size_t y = 0; y < kLarge; ++y) {
+    for (std::size_t x = 0; x < kLarge; ++x) {
+      const std::size_t texel = y * kLarge + x;
+      const std::size_t ny = std::clamp<std::size_t>(y, kAt, kAt + kSmall - 1),
+                        nx = std::clamp<std::size_t>(x, kAt, kAt + kSmall - 1);
+      shown[texel] = static_cast<std::uint32_t>(ny * kLarge + nx);
+      if (!inside(y, x)) continue;
+      charts[texel] = 5;
+      for (std::size_t c = 0; c < 3; ++c) {
+        image.rest[c * kLarge * kLarge + texel] = chart.rest[c * kSmall * kSmall + small_of(y, x)];
+      }
+      for (std::size_t c = 0; c < kFrameChannels; ++c) {
+        image.image[c * kLarge * kLarge + texel] = chart.image[c * kSmall * kSmall + small_of(y, x)];
+      }
+    }
+  }
+  std::vector<float> expected(kClothChannels * kSmall * kSmall), expected_axes(9 * kSmall * kSmall),
+      features(kClothChannels * kLarge * kLarge), axes(9 * kLarge * kLarge);
+  ClothAxes::Scratch scratch;
+  ClothAxes(chart.rest, kSmall, kSmall).compute(chart.image.data(), scratch, expected.data(), expected_axes.data());
+  ClothAxes(image.rest, kLarge, kLarge, charts, shown)
+      .compute(image.image.data(), scratch, features.data(), axes.data());
+  for (std::size_t y = 0; y < kLarge; ++y) {
+    for (std::size_t x = 0; x < kLarge; ++x) {
+      const std::size_t texel = y * kLarge + x;
+      for (std::size_t c = 0; c < kClothChannels; ++c) {
+        const float value = features[c * kLarge * kLarge + texel];
+        if (inside(y, x)) {
+          EXPECT_NEAR(value, expected[c * kSmall * kSmall + small_of(y, x)], 2e-4) << y << " " << x << " " << c;
+        } else {
+          EXPECT_EQ(value, 0);
+        }
+      }
+      for (std::size_t k = 0; k < 9; ++k) {
+        EXPECT_EQ(axes[k * kLarge * kLarge + texel], axes[k * kLarge * kLarge + shown[texel]]);
+        if (inside(y, x)) {
+          EXPECT_NEAR(axes[k * kLarge * kLarge + texel], expected_axes[k * kSmall * kSmall + small_of(y, x)], 1e-4);
+        }
+      }
+    }
   }
 }
 

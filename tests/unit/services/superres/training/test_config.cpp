@@ -73,6 +73,7 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("window": 17)")), HasSubstr("'window'"));
   EXPECT_THAT(error_of(with(R"("window_stride": 0)")), HasSubstr("'window_stride'"));
   EXPECT_THAT(error_of(with(R"("images": {"coarse_width": 60})")), HasSubstr("coarse_height"));
+  EXPECT_THAT(error_of(with(R"("serves": "any")")), HasSubstr("'serves'"));
   EXPECT_THAT(error_of(with(R"("every_frames": 2)")), HasSubstr("losses.kinematic"));
   EXPECT_THAT(error_of(with(R"("losses": {"vertices": 0.1})")), HasSubstr("'patch' = 0"));
   EXPECT_THAT(error_of(with(R"("losses": {"vertex_normals": 0.1})")), HasSubstr("'patch' = 0"));
