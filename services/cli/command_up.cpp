@@ -2,17 +2,19 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <optional>
 #include <thread>
 
 #include "common/base/signals.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
+#include "services/presentation/live/live_page.hpp"
 
 namespace pleat::cli {
 namespace {
 
 struct UpOptions {
-  std::string listen, models, metrics_listen, data, token_file;
+  std::string listen, models, metrics_listen, data, token_file, page, page_token_file;
   double answer_timeout_s = 20;
 };
 
@@ -20,6 +22,7 @@ int up(const UpOptions& options) {
   if (!options.listen.empty() && !rpc::is_local_address(options.listen))
     throw_invalid_argument("--listen " + options.listen +
                            ": not a local address; beyond this host run pleat-coordinator itself, with --tls-*");
+  if (!options.page.empty()) presentation::check_listen(options.page);
   LauncherOptions launch;
   launch.models = options.models;
   launch.data = options.data.empty() ? state_folder("services") : std::filesystem::path(options.data);
@@ -31,12 +34,23 @@ int up(const UpOptions& options) {
   Launcher launcher(launch);
   for (const Launcher::Service& service : launcher.services())
     std::printf("%-12s %s\n", service.name.c_str(), service.address.c_str());
+  std::optional<presentation::LivePage> page;
+  if (!options.page.empty()) {
+    rpc::TlsOptions identity;
+    identity.token_file = options.page_token_file;
+    page.emplace(presentation::LivePageOptions{options.page, launcher.coordinator(), identity});
+    std::printf("%-12s %s\n", "page", page->address().c_str());
+  }
   std::printf("ready %s\n", launcher.coordinator().c_str());
   std::fflush(stdout);
   while (!interrupted()) {
-    for (const std::string& line : launcher.supervise()) std::fprintf(stderr, "%s\n", line.c_str());
+    for (const std::string& line : launcher.supervise()) {
+      std::fprintf(stderr, "%s\n", line.c_str());
+      if (page) page->note(line);
+    }
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
   }
+  page.reset();
   launcher.stop();
   return kExitDone;
 }
@@ -60,6 +74,11 @@ std::vector<Command> add_up(CLI::App& root) {
   app->add_option("--token-file", options->token_file,
                   "file of NAME ROLE TOKEN, mode 0600: who may call; for --listen with a port, which all users of this "
                   "host reach");
+  app->add_option("--page", options->page,
+                  "live page of the jobs and sessions, for a browser on this host, 127.0.0.1:PORT; its address, which "
+                  "is printed, has a token");
+  app->add_option("--page-token-file", options->page_token_file,
+                  "with --token-file: file with the token that the page reads jobs by, best of a watcher");
   return {{app, [options] { return up(*options); }}};
 }
 

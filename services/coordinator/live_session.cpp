@@ -3,8 +3,10 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <optional>
+#include <random>
 #include <set>
 #include <span>
 #include <system_error>
@@ -52,6 +54,18 @@ std::string fault_of(const v1::Frame& frame, Eigen::Index vertices) {
   return {};
 }
 
+/// What a session looks like as a job. The id is random: that of a session before a restart must not be found again.
+JobRecord record_of(const std::string& owner) {
+  std::random_device device;
+  JobRecord record;
+  record.id = kLivePrefix;
+  for (int i = 0; i < 12; ++i) record.id += "0123456789abcdef"[device() % 16];
+  record.state = JobState::kRunning;
+  record.owner = owner;
+  record.created_s = std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+  return record;
+}
+
 }  // namespace
 
 /// What the frames of a session in flight may take of the memory for all, while it lives.
@@ -87,10 +101,15 @@ class LiveSessions::Share {
 class LiveSessions::Session : public std::enable_shared_from_this<Session> {
  public:
   /// turn: which of several fold services it asks first.
-  Session(LiveSessions& owner, grpc::CallbackServerContext* context, std::size_t turn)
-      : owner_(owner), turn_(turn), reactor_(Reactor::make(context)) {}
+  Session(LiveSessions& owner, grpc::CallbackServerContext* context, std::size_t turn, const std::string& client)
+      : owner_(owner),
+        turn_(turn),
+        reactor_(Reactor::make(context)),
+        feed_(std::make_shared<SessionFeed>(record_of(client))),
+        began_(std::chrono::steady_clock::now()) {}
 
   Reactor* reactor() const { return reactor_.get(); }
+  const std::shared_ptr<SessionFeed>& feed() const { return feed_; }
 
   /// The whole session, in its own thread.
   void run() {
@@ -102,6 +121,10 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     if (metrics != nullptr) metrics->add_sessions(1);
     const grpc::Status status = rpc::guard([&] { serve(); });
     if (!status.ok() && !is_gone()) spdlog::warn("live session ended: {}", status.error_message());
+    feed_->update([&](JobRecord& record) {
+      record.state = status.ok() ? JobState::kDone : is_gone() ? JobState::kCancelled : JobState::kFailed;
+      if (record.state == JobState::kFailed) record.error = status.error_message();
+    });
     reactor_->finish(status);
     if (metrics != nullptr) metrics->add_sessions(-1);
   }
@@ -178,6 +201,15 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     const Attachment attachment(*this, pipeline);
     pipeline.wait_open();
     write_opened(subdivision, session);
+    feed_->update([&](JobRecord& record) {
+      record.detail = name_of(session.detail);
+      record.model = session.model.model();
+      record.device = session.model.device();
+      record.precision = session.model.precision();
+      record.coarse_vertices = static_cast<std::uint32_t>(coarse_vertices_);
+      record.fine_vertices = static_cast<std::uint32_t>(subdivision.fine.vertex_count());
+    });
+    const SessionFeed::Opened opened(*feed_, [&] { return opened_event(open, subdivision); });
     take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime, session);
     pipeline.close();
     pipeline.wait();
@@ -200,6 +232,15 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     opened.set_detail(session.detail);
     reactor_->share_memory(window_, milliseconds(owner_.settings_.reader_timeout_s));
     reactor_->write(response, milliseconds(owner_.settings_.reader_timeout_s));
+  }
+
+  static EventPtr opened_event(const v1::EnhanceOpen& open, const Subdivision& subdivision) {
+    auto event = std::make_shared<v1::JobEvent>();
+    v1::JobOpened& opened = *event->mutable_opened();
+    *opened.mutable_coarse() = open.coarse();
+    *opened.mutable_fine() = to_message(subdivision.fine);
+    *opened.mutable_obstacles() = open.obstacles();
+    return event;
   }
 
   static std::chrono::milliseconds milliseconds(double seconds) {
@@ -289,12 +330,42 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     if (!written && reactor_->timed_out()) {
       fail_slow("did not take an answer", owner_.settings_.reader_timeout_s);
     }
+    show(frame, response);
     {
       const std::lock_guard lock(mutex_);
       --in_flight_;
     }
     changed_.notify_all();
     if (!written) throw Error(ErrorCode::kCancelled, "the client has gone");
+  }
+
+  /// An answered frame to those who watch. Here alone: one answer at a time.
+  void show(PipelineFrame& frame, const v1::EnhanceResponse& response) {
+    if (feed_->is_watched()) {
+      auto event = std::make_shared<v1::JobEvent>();
+      if (response.has_error()) {
+        *event->mutable_error() = response.error();
+        event->mutable_error()->set_index(frame.sequence);
+      } else {
+        v1::EnhancedFrame& enhanced = *event->mutable_frame();
+        enhanced = response.frame();
+        enhanced.mutable_coarse()->Swap(&frame.coarse);
+        enhanced.mutable_coarse()->clear_velocities();
+        // Clients number as they like; for those who watch it is the place in the session.
+        enhanced.mutable_fine()->set_index(frame.sequence);
+        enhanced.mutable_coarse()->set_index(frame.sequence);
+        enhanced.mutable_obstacles()->Swap(&frame.obstacles);
+      }
+      feed_->publish(std::move(event));
+    }
+    const std::chrono::duration<double> wall = std::chrono::steady_clock::now() - began_;
+    feed_->update([&](JobRecord& record) {
+      ++record.frames_complete;
+      record.wall_s = wall.count();
+      if (response.has_error()) ++record.frame_errors;
+      record.penetrations += response.frame().report().penetrations_after();
+      record.self_intersections += response.frame().report().self_intersections_after();
+    });
   }
 
   void client_gone() {
@@ -350,6 +421,8 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
   LiveSessions& owner_;
   const std::size_t turn_;
   std::shared_ptr<Reactor> reactor_;
+  const std::shared_ptr<SessionFeed> feed_;
+  const std::chrono::steady_clock::time_point began_;
   std::uint32_t window_ = rpc::kDefaultWindow;
   Eigen::Index coarse_vertices_ = 0;
   std::optional<SessionMemory> memory_;  ///< before the pipeline's first frame
@@ -379,6 +452,24 @@ bool LiveSessions::has_room() const {
   return sessions_.size() < settings_.max_sessions;
 }
 
+std::vector<std::shared_ptr<SessionFeed>> LiveSessions::feeds() const {
+  std::vector<std::shared_ptr<SessionFeed>> feeds;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& session : sessions_) feeds.push_back(session->feed());
+  }
+  std::sort(feeds.begin(), feeds.end(),
+            [](const auto& a, const auto& b) { return a->record().created_s > b->record().created_s; });
+  return feeds;
+}
+
+std::shared_ptr<SessionFeed> LiveSessions::feed(const std::string& id) const {
+  for (auto& feed : feeds()) {
+    if (feed->record().id == id) return std::move(feed);
+  }
+  throw_not_found("no live session '" + id + "'");
+}
+
 LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context, const std::string& client) {
   const std::lock_guard lock(mutex_);
   const grpc::Status admitted = rpc::guard([&] {
@@ -390,7 +481,7 @@ LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context,
     refused->refuse(admitted);
     return refused.get();
   }
-  auto session = std::make_shared<Session>(*this, context, started_++);
+  auto session = std::make_shared<Session>(*this, context, started_++, client);
   sessions_.insert(session);
   Reactor* reactor = session->reactor();
   try {

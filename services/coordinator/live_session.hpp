@@ -5,12 +5,16 @@
 #include <memory>
 #include <mutex>
 #include <set>
+#include <string>
+#include <string_view>
+#include <vector>
 
 #include "common/base/limits.hpp"
 #include "pleat/v1/coordinator.pb.h"
 #include "services/coordinator/blocking_reactor.hpp"
 #include "services/coordinator/client_quota.hpp"
 #include "services/coordinator/pipeline.hpp"
+#include "services/coordinator/session_feed.hpp"
 
 namespace pleat::coordinator {
 
@@ -23,6 +27,9 @@ struct LiveSettings {
   std::int64_t max_vertices = kDefaultMaxFineVertices;  ///< of the fine mesh of a session or job
   double max_live_gb = 8;                               ///< frames in flight of all sessions, 10^9 bytes
 };
+
+/// Ids of live sessions begin so; those of jobs have no colon.
+inline constexpr std::string_view kLivePrefix = "live:";
 
 /// All live sessions of a coordinator; each has a thread that reads, and the pipeline's own. Thread-safe.
 class LiveSessions {
@@ -38,6 +45,11 @@ class LiveSessions {
 
   /// Whether another session would be admitted.
   bool has_room() const;
+
+  /// What there is to see of the sessions that run, newest first.
+  std::vector<std::shared_ptr<SessionFeed>> feeds() const;
+  /// Throws kNotFound if there is no such session any more.
+  std::shared_ptr<SessionFeed> feed(const std::string& id) const;
 
   /// Sessions take no further frame, answer those in flight, and end with UNAVAILABLE; new ones are refused.
   void drain();

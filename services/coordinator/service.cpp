@@ -150,10 +150,16 @@ grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v
   });
 }
 
-grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1::ListJobsRequest*,
+grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1::ListJobsRequest* request,
                                           v1::ListJobsResponse* response) {
   return rpc::guard([&] {
     const rpc::Caller caller = callers_.identify(*context);
+    if (request->live_sessions()) {
+      for (const auto& feed : live_.feeds()) {
+        const JobRecord record = feed->record();
+        if (may_read(caller, record)) *response->add_jobs() = to_job(record);
+      }
+    }
     for (const JobRecord& record : table_.list()) {
       if (may_read(caller, record)) *response->add_jobs() = to_job(record);
     }
@@ -163,7 +169,7 @@ grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1
 grpc::Status CoordinatorService::GetJob(grpc::ServerContext* context, const v1::GetJobRequest* request, v1::Job* job) {
   return rpc::guard([&] {
     const rpc::Caller caller = callers_.identify(*context);
-    const JobRecord record = table_.get(request->id());
+    const JobRecord record = record_of(request->id());
     require_reader(caller, record);
     *job = to_job(record);
   });
@@ -295,7 +301,7 @@ grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::Callb
   rpc::Caller caller;
   const grpc::Status admitted = rpc::guard([&] {
     caller = callers_.identify(*context);
-    require_reader(caller, table_.get(asked->id()));
+    require_reader(caller, record_of(asked->id()));
     if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
     watcher_quota_.enter(caller.name);
   });
@@ -317,9 +323,10 @@ grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::Callb
 void CoordinatorService::watch(EventWriter& writer, const rpc::Caller& caller, const v1::WatchJobRequest& request) {
   if (metrics_ != nullptr) metrics_->add_sessions(1);
   writer.finish(rpc::guard([&]() -> grpc::Status {
-    const JobRecord record = table_.get(request.id());
+    const JobRecord record = record_of(request.id());
     if (caller.name != record.owner) audit(caller, record, "read");
-    if (Watcher(*this, request, writer).run()) return grpc::Status::OK;
+    const bool live = request.id().starts_with(kLivePrefix);
+    if (live ? watch_session(writer, request) : Watcher(*this, request, writer).run()) return grpc::Status::OK;
     return writer.timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "the client does not read")
                               : grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
   }));
@@ -328,6 +335,41 @@ void CoordinatorService::watch(EventWriter& writer, const rpc::Caller& caller, c
   watcher_quota_.leave(caller.name);
   std::erase_if(watchers_, [&](const auto& other) { return other.get() == &writer; });
   watchers_changed_.notify_all();
+}
+
+bool CoordinatorService::watch_session(EventWriter& writer, const v1::WatchJobRequest& request) {
+  const std::shared_ptr<SessionFeed> feed = live_.feed(request.id());
+  const SessionFeed::Watch watch(*feed);
+  std::uint64_t revision = 0, shown = 0;
+  bool opened = false;
+  auto progress_sent = std::chrono::steady_clock::time_point{};
+  while (true) {
+    const SessionFeed::News news = feed->wait(revision, std::chrono::milliseconds(250));
+    revision = news.revision;
+    if (writer.gone()) return false;
+    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    if (request.include_frames() && news.opened && !opened) {
+      if (!writer.write(*news.opened, reader_timeout_)) return false;
+      opened = true;
+    }
+    if (opened && news.frame && news.frame_revision > shown) {
+      if (!writer.write(*news.frame, reader_timeout_)) return false;
+      shown = news.frame_revision;
+    }
+    const bool over = has_ended(news.record.state);
+    const auto now = std::chrono::steady_clock::now();
+    if (over || now - progress_sent >= kProgressInterval) {
+      v1::JobEvent event;
+      *event.mutable_progress() = to_job(news.record);
+      if (!writer.write(event, reader_timeout_)) return false;
+      progress_sent = now;
+    }
+    if (over) return true;
+  }
+}
+
+JobRecord CoordinatorService::record_of(const std::string& id) const {
+  return id.starts_with(kLivePrefix) ? live_.feed(id)->record() : table_.get(id);
 }
 
 v1::Job CoordinatorService::to_job(const JobRecord& record) const {
@@ -339,8 +381,11 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   job.set_frames_complete(record.frames_complete);
   job.set_reference_frames_complete(record.reference_frames_complete);
   job.set_error(record.error);
-  const auto folder = table_.folder_of(record.id);
-  job.set_result_path(std::filesystem::absolute(result_file(folder).value_or(folder / "result.h5")).string());
+  if (!record.id.starts_with(kLivePrefix)) {
+    const auto folder = table_.folder_of(record.id);
+    job.set_result_path(std::filesystem::absolute(result_file(folder).value_or(folder / "result.h5")).string());
+    job.set_queue_place(runner_.queue_place(record.id));
+  }
   v1::JobSummary& summary = *job.mutable_summary();
   summary.set_coarse_vertices(record.coarse_vertices);
   summary.set_fine_vertices(record.fine_vertices);
@@ -359,7 +404,6 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   job.set_created_s(record.created_s);
   job.set_ended_s(record.ended_s);
   job.set_bytes(record.bytes);
-  job.set_queue_place(runner_.queue_place(record.id));
   return job;
 }
 

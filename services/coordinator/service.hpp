@@ -55,6 +55,9 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   JobRecord receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader,
                         const std::string& owner);
   void watch(EventWriter& writer, const rpc::Caller& caller, const v1::WatchJobRequest& request);
+  bool watch_session(EventWriter& writer, const v1::WatchJobRequest& request);
+  /// Of a job or live session. Throws kNotFound.
+  JobRecord record_of(const std::string& id) const;
   v1::Job to_job(const JobRecord& record) const;
 
   std::atomic<bool> draining_{false};

@@ -188,10 +188,11 @@ v1::Job Client::remove_job(const std::string& id) const {
   return job;
 }
 
-std::vector<v1::Job> Client::list_jobs() const {
+std::vector<v1::Job> Client::list_jobs(bool live_sessions) const {
+  v1::ListJobsRequest request;
+  request.set_live_sessions(live_sessions);
   v1::ListJobsResponse response;
-  state_->call(
-      [&](grpc::ClientContext* context) { return state_->stub->ListJobs(context, v1::ListJobsRequest(), &response); });
+  state_->call([&](grpc::ClientContext* context) { return state_->stub->ListJobs(context, request, &response); });
   return {response.jobs().begin(), response.jobs().end()};
 }
 

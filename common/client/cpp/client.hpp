@@ -105,8 +105,8 @@ class Client {
   v1::Job cancel_job(const std::string& id) const;
   /// One that has ended, with its files. A repeated call may find it gone: kNotFound.
   v1::Job remove_job(const std::string& id) const;
-  /// Those that the caller may read, newest first.
-  std::vector<v1::Job> list_jobs() const;
+  /// Those that the caller may read, newest first; before them, if asked for, the live sessions, as jobs that run.
+  std::vector<v1::Job> list_jobs(bool live_sessions = false) const;
 
   /// Follows a job from a thread of its own, which calls the sinks.
   JobWatcher watch_job(const std::string& id, JobSinks sinks = {}, const JobWatchOptions& options = {}) const;

@@ -4,11 +4,11 @@
 #include <map>
 
 #include "common/base/error.hpp"
-#include "common/base/html.hpp"
 #include "common/base/whole_file.hpp"
 #include "services/presentation/report/encode.hpp"
 #include "services/presentation/report/report.hpp"
 #include "services/presentation/report/upsampling.hpp"
+#include "services/presentation/report/viewer_page.hpp"
 #include "services/presentation/report/viewer_template.hpp"
 
 namespace pleat::presentation {
@@ -17,28 +17,11 @@ namespace {
 
 using nlohmann::json;
 
-/// The places of the page that the writer fills.
-constexpr std::string_view kTitleMarker = "PLEAT_TITLE";
-constexpr std::string_view kDataMarker = "<!-- PLEAT_DATA -->";
-
 /// What lies in the page besides its code: one JSON object, and binary blobs that it names.
 struct Payload {
   json meta = json::object();
   std::map<std::string, std::string> blobs;  ///< name -> base64
 };
-
-/// JSON that can't end the script element it lies in.
-std::string script_safe(const json& value) {
-  std::string out;
-  for (const char c : value.dump(-1, ' ', true, json::error_handler_t::replace)) {
-    if (c == '<') {
-      out += "\\u003c";
-    } else {
-      out += c;
-    }
-  }
-  return out;
-}
 
 std::vector<std::uint32_t> words_of(const Faces& faces) { return {faces.data(), faces.data() + faces.size()}; }
 
@@ -136,17 +119,6 @@ Payload make_payload(const ReportInput& input, const json& report, std::size_t s
   return payload;
 }
 
-std::string replace_once(std::string_view text, std::string_view marker, std::string_view value) {
-  const std::size_t place = text.find(marker);
-  if (place == std::string_view::npos) throw_internal("the viewer has no marker " + std::string(marker));
-  std::string out;
-  out.reserve(text.size() + value.size());
-  out += text.substr(0, place);
-  out += value;
-  out += text.substr(place + marker.size());
-  return out;
-}
-
 }  // namespace
 
 void write_report_html(const ReportInput& input, const std::filesystem::path& path, const ReportHtmlOptions& options) {
@@ -159,7 +131,6 @@ void write_report_html(const ReportInput& input, const std::filesystem::path& pa
   const double least_bytes = 6.0 * vertices * static_cast<double>(input.frame_count) / 5 * 4 / 3;
   auto stride =
       static_cast<std::size_t>(std::max(1.0, std::ceil(least_bytes / static_cast<double>(options.max_bytes))));
-  const std::string shell = replace_once(viewer_template(), kTitleMarker, escape_html(input.summary.title));
   for (;;) {
     const Payload payload = make_payload(input, report, stride);
     std::string data =
@@ -167,7 +138,7 @@ void write_report_html(const ReportInput& input, const std::filesystem::path& pa
     for (const auto& [name, text] : payload.blobs) {
       data += "<script type=\"application/octet-stream\" id=\"pleat-" + name + "\">" + text + "</script>\n";
     }
-    const std::size_t bytes = shell.size() + data.size();
+    const std::size_t bytes = viewer_template().size() + data.size();
     if (bytes > options.max_bytes) {
       if (stride >= input.frame_count) {
         throw Error(ErrorCode::kResourceExhausted, path.string() + ": one frame alone needs " + std::to_string(bytes) +
@@ -178,7 +149,7 @@ void write_report_html(const ReportInput& input, const std::filesystem::path& pa
                         std::max(stride + 1, static_cast<std::size_t>(static_cast<double>(stride) * ratio)));
       continue;
     }
-    write_whole_file(path, replace_once(shell, kDataMarker, data));
+    write_whole_file(path, viewer_page(input.summary.title, "'none'", data));
     return;
   }
 }

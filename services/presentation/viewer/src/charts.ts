@@ -23,7 +23,9 @@ function cssColor(name: string): string {
 
 export class Chart {
   readonly canvas = document.createElement("canvas");
-  private readonly top: number;
+  /** Of the first column, for the labels. */
+  first = 0;
+  private top = 1;
   private current = 0;
 
   constructor(
@@ -34,13 +36,7 @@ export class Chart {
     this.canvas.className = "chart";
     this.canvas.style.setProperty("--tall", `${options.height}px`);
     this.canvas.style.setProperty("--low", `${Math.round(0.72 * options.height)}px`);
-    const totals = new Float64Array(count);
-    for (const { values } of series) {
-      for (let i = 0; i < count; ++i) totals[i] = options.stacked ? totals[i] + values[i] : Math.max(totals[i], values[i]);
-    }
-    // One slow frame must not flatten all others: beyond twice the 95th percentile a column leaves the chart.
-    const most = Math.max(...totals, 1e-9);
-    this.top = Math.min(most * 1.08, 2 * percentile(totals, 0.95) || most);
+    this.rescale();
     const seek = (event: PointerEvent) => {
       const bounds = this.canvas.getBoundingClientRect();
       const share = (event.clientX - bounds.left - kLeft) / Math.max(1, bounds.width - kLeft);
@@ -54,6 +50,18 @@ export class Chart {
       if (event.buttons) seek(event);
     });
     new ResizeObserver(() => this.draw()).observe(this.canvas);
+  }
+
+  /** To the values that `series` have now. */
+  rescale(): void {
+    const { series, count, options } = this;
+    const totals = new Float64Array(count);
+    for (const { values } of series) {
+      for (let i = 0; i < count; ++i) totals[i] = options.stacked ? totals[i] + values[i] : Math.max(totals[i], values[i]);
+    }
+    // One slow frame must not flatten all others: beyond twice the 95th percentile a column leaves the chart.
+    const most = Math.max(...totals, 1e-9);
+    this.top = Math.min(most * 1.08, 2 * percentile(totals, 0.95) || most);
   }
 
   setCurrent(index: number): void {
@@ -89,9 +97,9 @@ export class Chart {
     pen.textBaseline = "alphabetic";
     pen.fillStyle = cssColor("--soft");
     const frameStep = Math.max(1, Math.round(roundUp(count / 5)));
-    for (let frame = 0; frame < count; frame += frameStep) {
+    for (let frame = (frameStep - (this.first % frameStep)) % frameStep; frame < count; frame += frameStep) {
       pen.textAlign = frame === 0 ? "left" : "center";
-      if (x(frame) < width - 10) pen.fillText(String(frame), x(frame), height - 3);
+      if (x(frame) < width - 10) pen.fillText(String(this.first + frame), x(frame), height - 3);
     }
 
     const base = new Float64Array(count);

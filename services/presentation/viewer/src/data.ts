@@ -114,8 +114,16 @@ function earlierMates(faces: Uint32Array, vertices: number): { offsets: Uint32Ar
   return { offsets, mates };
 }
 
-/** Frames of one mesh, kept as 16-bit integers (order: frame, axis, vertex). */
-export class Sequence {
+/** Frames of one mesh. */
+export interface Frames {
+  readonly frames: number;
+  readonly vertices: number;
+  /** Writes x0,y0,z0,x1,... of a frame, in metres, into `out`. */
+  positions(frame: number, out: Float32Array): Float32Array;
+}
+
+/** Frames kept as 16-bit integers (order: frame, axis, vertex). */
+export class Sequence implements Frames {
   readonly frames: number;
   readonly vertices: number;
   private readonly step: number;
@@ -164,7 +172,6 @@ export class Sequence {
     return new Sequence(meta, q);
   }
 
-  /** Writes x0,y0,z0,x1,... of a frame, in metres, into `out`. */
   positions(frame: number, out: Float32Array): Float32Array {
     const base = frame * 3 * this.vertices;
     for (let axis = 0; axis < 3; ++axis) {
@@ -201,24 +208,33 @@ export class Upsampling {
   }
 }
 
-export interface Obstacle {
-  name: string;
-  centers?: number[];
-  radii?: number[];
-  faces?: Uint32Array;
-  sequence?: Sequence;
+export interface Sphere {
+  center: ArrayLike<number>;
+  radius: number;
 }
 
-/** All that the page shows, decoded. */
-export interface Dataset {
-  meta: Meta;
+/** A mesh, or a sphere; undefined where nothing is known of it in a frame. */
+export interface Obstacle {
+  name: string;
+  faces?: Uint32Array;
+  mesh?: Frames;
+  sphere?(frame: number): Sphere | undefined;
+}
+
+/** What the 3D views show. */
+export interface Cloths {
   coarseFaces: Uint32Array;
   fineFaces: Uint32Array;
-  coarse: Sequence;
-  enhanced: Sequence;
-  reference?: Sequence;
-  upsampling?: Upsampling;
+  coarse: Frames;
+  enhanced: Frames;
+  reference?: Frames;
   obstacles: Obstacle[];
+}
+
+/** All that a report shows, decoded. */
+export interface Dataset extends Cloths {
+  meta: Meta;
+  upsampling?: Upsampling;
 }
 
 export async function readDataset(): Promise<Dataset> {
@@ -233,10 +249,11 @@ export async function readDataset(): Promise<Dataset> {
     meta.upsampling &&
     new Upsampling(coarseFaces, await readWords(meta.upsampling.parent_faces), await readFloats(meta.upsampling.barycentric));
   const obstacles = await Promise.all(
-    meta.obstacles.map(async ({ name, centers, radii, ...mesh }): Promise<Obstacle> => {
+    meta.obstacles.map(async ({ name, centers, radii, sequence, ...mesh }): Promise<Obstacle> => {
       const faces = mesh.faces ? await readWords(mesh.faces) : undefined;
-      const sequence = mesh.sequence && faces && (await Sequence.read(mesh.sequence, faces));
-      return { name, centers, radii, faces, sequence };
+      if (sequence && faces) return { name, faces, mesh: await Sequence.read(sequence, faces) };
+      if (!centers || !radii) return { name };
+      return { name, sphere: (frame) => ({ center: centers.slice(3 * frame, 3 * frame + 3), radius: radii[frame] }) };
     }),
   );
   return { meta, coarseFaces, fineFaces, coarse, enhanced, reference, upsampling, obstacles };

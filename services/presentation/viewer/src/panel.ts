@@ -4,16 +4,16 @@ import type { Comparison } from "./comparison";
 import type { Dataset } from "./data";
 import { percentile } from "./geometry";
 
-const kPalette = 8;
+export const kPalette = 8;
 
-function make<K extends keyof HTMLElementTagNameMap>(tag: K, className = "", text = ""): HTMLElementTagNameMap[K] {
+export function make<K extends keyof HTMLElementTagNameMap>(tag: K, className = "", text = ""): HTMLElementTagNameMap[K] {
   const element = document.createElement(tag);
   if (className) element.className = className;
   if (text) element.textContent = text;
   return element;
 }
 
-function card(parent: HTMLElement, title: string, note: string): HTMLElement {
+export function card(parent: HTMLElement, title: string, note: string): HTMLElement {
   const section = make("section", "card");
   const heading = make("h2", "", title);
   heading.append(make("span", "", note));
@@ -27,7 +27,7 @@ export function readable(name: string): string {
   return spaced.charAt(0).toUpperCase() + spaced.slice(1);
 }
 
-function tile(parent: HTMLElement, value: string, name: string, kind = ""): void {
+export function tile(parent: HTMLElement, value: string, name: string, kind = ""): void {
   const element = make("div", `tile ${kind}`);
   element.append(make("b", "", value), make("span", "", name));
   parent.append(element);

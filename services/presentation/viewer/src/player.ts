@@ -1,8 +1,8 @@
 // The time line: which frame is shown, and when the next one is due.
 import type { Dataset } from "./data";
 
-const kPlay = '<svg viewBox="0 0 18 18"><path d="M5 2.8v12.4L15.2 9z"/></svg>';
-const kPause = '<svg viewBox="0 0 18 18"><path d="M4.5 3h3.2v12H4.5zM10.3 3h3.2v12h-3.2z"/></svg>';
+export const kPlay = '<svg viewBox="0 0 18 18"><path d="M5 2.8v12.4L15.2 9z"/></svg>';
+export const kPause = '<svg viewBox="0 0 18 18"><path d="M4.5 3h3.2v12H4.5zM10.3 3h3.2v12h-3.2z"/></svg>';
 
 export class Player {
   /** Index among the stored frames. */

@@ -3,7 +3,7 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 import type { Comparison, MapKind } from "./comparison";
-import type { Dataset, Obstacle } from "./data";
+import type { Cloths, Obstacle } from "./data";
 import { Curvature, maximum, rms, roundUp, vertexNormals } from "./geometry";
 import { clothMaterial, mapMaterial } from "./materials";
 
@@ -87,9 +87,9 @@ class ObstacleMesh {
     material: THREE.Material,
   ) {
     let geometry: THREE.BufferGeometry;
-    if (obstacle.sequence && obstacle.faces) {
+    if (obstacle.mesh && obstacle.faces) {
       geometry = new THREE.BufferGeometry();
-      this.positions = new Float32Array(3 * obstacle.sequence.vertices);
+      this.positions = new Float32Array(3 * obstacle.mesh.vertices);
       geometry.setAttribute("position", new THREE.BufferAttribute(this.positions, 3).setUsage(THREE.DynamicDrawUsage));
       geometry.setIndex(new THREE.BufferAttribute(obstacle.faces, 1));
     } else {
@@ -102,14 +102,14 @@ class ObstacleMesh {
   }
 
   update(frame: number): void {
-    const { centers, radii, sequence } = this.obstacle;
-    if (this.positions && sequence) {
-      sequence.positions(frame, this.positions);
+    if (this.positions) {
+      this.obstacle.mesh!.positions(frame, this.positions);
       this.mesh.geometry.getAttribute("position").needsUpdate = true;
       this.mesh.geometry.computeVertexNormals();
-    } else if (centers && radii) {
-      this.mesh.position.fromArray(centers, 3 * frame);
-      this.mesh.scale.setScalar(Math.max(radii[frame], 1e-6));
+    } else {
+      const { center, radius } = this.obstacle.sphere?.(frame) ?? { center: [0, 0, 0], radius: 0 };
+      this.mesh.position.fromArray(Array.from(center));
+      this.mesh.scale.setScalar(Math.max(radius, 1e-6));
     }
   }
 }
@@ -128,7 +128,7 @@ class View {
     obstacles: Obstacle[],
     obstacleMaterial: THREE.Material,
     environment: THREE.Texture | null,
-    ground: THREE.Object3D,
+    private ground: THREE.Object3D,
   ) {
     this.obstacles = obstacles.map((o) => new ObstacleMesh(o, obstacleMaterial));
     if (environment) {
@@ -144,6 +144,12 @@ class View {
     this.key.shadow.normalBias = 0.006;
     this.key.shadow.radius = 3;
     this.scene.add(this.key, this.key.target, this.rim, this.rim.target, cloth.mesh, cloth.wire, ground, ...this.obstacles.map((o) => o.mesh));
+  }
+
+  setGround(ground: THREE.Object3D): void {
+    this.scene.remove(this.ground);
+    this.scene.add(ground);
+    this.ground = ground;
   }
 
   setFrame(frame: number): void {
@@ -207,13 +213,14 @@ export class Stage {
   /** A sample of the places where cloth is: what the camera must hold. */
   private readonly places: THREE.Vector3[] = [];
   private dirty = true;
+  private readonly resized = new ResizeObserver(() => this.invalidate());
   private readonly ringMaterial: THREE.ShaderMaterial;
 
   constructor(
     private readonly container: HTMLElement,
     canvas: HTMLCanvasElement,
-    private readonly data: Dataset,
-    private readonly comparison: Comparison,
+    private readonly data: Cloths,
+    private readonly comparison: Comparison | undefined,
     panels: Map<ViewName, HTMLElement>,
   ) {
     const thrifty = !location.hash.includes("best") && drawsInSoftware();
@@ -244,16 +251,47 @@ export class Stage {
         new View(name, panel, mesh, data.obstacles, name === "map" ? mapObstacleMaterial : obstacleMaterial, environment, ground),
       );
     }
-    this.mapKind = comparison.kinds[0]?.kind;
+    this.mapKind = comparison?.kinds[0]?.kind;
     this.controls = new OrbitControls(this.camera, container);
     this.controls.enableDamping = true;
     this.controls.dampingFactor = 0.12;
     this.controls.autoRotateSpeed = 2.4;
     this.controls.addEventListener("change", () => this.invalidate());
-    new ResizeObserver(() => this.invalidate()).observe(container);
+    this.resized.observe(container);
   }
 
-  /** Bounding sphere over all frames; returns the height of the floor. */
+  /** Gives back what the graphics card holds; the canvas may be drawn to by another one then. */
+  dispose(): void {
+    this.resized.disconnect();
+    this.controls.dispose();
+    for (const { cloth, scene } of this.views) {
+      cloth.wire.geometry.dispose();
+      scene.traverse((object) => object instanceof THREE.Mesh && (object.geometry as THREE.BufferGeometry).dispose());
+    }
+    this.renderer.dispose();
+  }
+
+  /** Whether the coarse cloth of a frame is where measure() has found it. */
+  holds(frame: number): boolean {
+    const positions = this.data.coarse.positions(frame, new Float32Array(3 * this.data.coarse.vertices));
+    const point = new THREE.Vector3();
+    for (let v = 0; v < positions.length; v += 3) {
+      point.fromArray(positions, v).sub(this.center);
+      if (Math.max(Math.abs(point.x), Math.abs(point.y), Math.abs(point.z)) > this.radius) return false;
+    }
+    return true;
+  }
+
+  /** For frames that came meanwhile. */
+  remeasure(): void {
+    const floor = this.measure();
+    this.ringMaterial.uniforms.uRadius.value = 3.2 * this.radius;
+    this.ringMaterial.uniforms.uCell.value = roundUp(this.radius / 8);
+    for (const view of this.views) view.setGround(makeGround(floor, this.center, this.radius, this.ringMaterial));
+    this.invalidate();
+  }
+
+  /** Box of all frames, as centre and half its largest side; returns the height of the floor. */
   private measure(): number {
     const { coarse } = this.data;
     const positions = new Float32Array(3 * coarse.vertices);
@@ -261,21 +299,23 @@ export class Stage {
     const point = new THREE.Vector3();
     const frameStep = Math.ceil(coarse.frames / 24);
     const vertexStep = 3 * Math.ceil(coarse.vertices / 400);
+    this.places.length = 0;
     for (let frame = 0; frame < coarse.frames; ++frame) {
       coarse.positions(frame, positions);
       for (let v = 0; v < positions.length; v += 3) box.expandByPoint(point.fromArray(positions, v));
       // The first frames often show a flat sheet, far wider than the motion that follows.
-      if (frame % frameStep !== 0 || frame < 0.3 * coarse.frames) continue;
+      if (frame % frameStep !== 0 || frame < 0.3 * (coarse.frames - 1)) continue;
       for (let v = 0; v < positions.length; v += vertexStep) this.places.push(new THREE.Vector3().fromArray(positions, v));
     }
     const reach = box.getSize(point).length();
     for (let frame = 0; frame < coarse.frames; ++frame) {
-      for (const { centers, radii } of this.data.obstacles) {
+      for (const obstacle of this.data.obstacles) {
+        const sphere = obstacle.sphere?.(frame);
         // A sphere far larger than the cloth is scenery.
-        if (!centers || !radii || radii[frame] > reach) continue;
-        point.fromArray(centers, 3 * frame);
-        box.expandByPoint(point.clone().addScalar(radii[frame]));
-        box.expandByPoint(point.subScalar(radii[frame]));
+        if (!sphere || sphere.radius > reach) continue;
+        point.fromArray(Array.from(sphere.center));
+        box.expandByPoint(point.clone().addScalar(sphere.radius));
+        box.expandByPoint(point.subScalar(sphere.radius));
       }
     }
     box.getCenter(this.center);
@@ -348,7 +388,7 @@ export class Stage {
     for (const view of this.views) {
       const { cloth } = view;
       if (view.name === "map") {
-        if (!this.mapKind) continue;
+        if (!this.mapKind || !comparison) continue;
         comparison.compute(this.mapKind, frame, cloth.positions, cloth.values);
         this.mapFigures = { rms: rms(cloth.values), max: maximum(cloth.values) };
         const scale = 1 / (comparison.scale.get(this.mapKind) ?? 1);

@@ -1,6 +1,8 @@
+#include <atomic>
 #include <limits>
 #include <map>
 #include <memory>
+#include <thread>
 #include <vector>
 
 #include "common/frame/messages.hpp"
@@ -493,6 +495,78 @@ TEST_F(LiveSessionTest, ACheckpointIsCheckedLikeAnyInput) {
   checkpoint.mutable_earlier(0)->set_positions(4, std::numeric_limits<float>::infinity());
   request.mutable_open()->set_checkpoint(checkpoint.SerializeAsString());
   expect_refused(request, grpc::StatusCode::INVALID_ARGUMENT, "open.checkpoint: its frames are damaged");
+}
+
+TEST_F(LiveSessionTest, AWatcherSeesTheNewestFrames) {
+  start();
+  const auto list = [&](bool live_sessions) {
+    grpc::ClientContext context;
+    v1::ListJobsRequest request;
+    request.set_live_sessions(live_sessions);
+    v1::ListJobsResponse response;
+    EXPECT_TRUE(stub_->ListJobs(&context, request, &response).ok());
+    return response;
+  };
+  const auto client = open(open_request());
+  client->send(frame_request(700));
+  client->receive();
+  EXPECT_EQ(list(false).jobs_size(), 0);
+  ASSERT_TRUE(eventually([&] { return list(true).jobs(0).frames_complete() == 1; }));
+  ASSERT_EQ(list(true).jobs_size(), 1);
+  const v1::Job job = get(list(true).jobs(0).id());
+  EXPECT_EQ(job.state(), v1::Job::STATE_RUNNING);
+  EXPECT_EQ(job.summary().model(), "fake");
+  EXPECT_EQ(job.summary().fine_vertices(), static_cast<std::uint32_t>(subdivision_.fine.vertex_count()));
+  EXPECT_EQ(job.result_path(), "");
+
+  std::vector<v1::JobEvent> frames;
+  std::atomic<int> seen = 0;
+  std::string fine_hash;
+  v1::Job last;
+  grpc::Status status;
+  std::thread watcher([&] {
+    status = watch(job.id(), 0, true, [&](const v1::JobEvent& event) {
+      if (event.has_opened()) fine_hash = topology_hash(from_message(event.opened().fine()));
+      if (event.has_progress()) last = event.progress();
+      if (event.has_frame() || event.has_error()) frames.push_back(event);
+      ++seen;
+    });
+  });
+  // The first events say how far it is and what frames refer to.
+  EXPECT_TRUE(eventually([&] { return seen >= 2; }));
+  for (const std::uint64_t index : {12, 12, 3}) {
+    const int before = seen;
+    client->send(frame_request(index));
+    EXPECT_EQ(client->receive().frame().fine().index(), index);
+    EXPECT_TRUE(eventually([&] { return seen > before; }));
+  }
+  const int before = seen;
+  v1::EnhanceRequest bad = frame_request(4);
+  bad.mutable_frame()->mutable_coarse()->clear_positions();
+  client->send(bad);
+  EXPECT_TRUE(client->receive().has_error());
+  EXPECT_TRUE(eventually([&] { return seen > before; }));
+  client->close();
+  EXPECT_TRUE(client->finish().ok());
+  watcher.join();
+  EXPECT_TRUE(status.ok()) << status.error_message();
+
+  EXPECT_EQ(fine_hash, topology_hash(subdivision_.fine));
+  ASSERT_GE(frames.size(), 4U);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const v1::EnhancedFrame& frame = frames[i].frame();
+    EXPECT_EQ(frame.fine().index(), i + 1) << "the place in the session";
+    EXPECT_EQ(frame.fine().positions_size(), 3 * subdivision_.fine.vertex_count());
+    EXPECT_EQ(frame.coarse().positions_size(), 3 * coarse_.vertex_count());
+    EXPECT_EQ(frame.obstacles_size(), 1);
+    EXPECT_EQ(frame.stage_times_size(), 4);
+  }
+  EXPECT_EQ(frames[3].error().index(), 4U);
+  EXPECT_EQ(last.state(), v1::Job::STATE_DONE);
+  EXPECT_EQ(last.frames_complete(), 5U);
+  EXPECT_EQ(last.summary().frame_errors(), 1U);
+  EXPECT_TRUE(eventually([&] { return list(true).jobs_size() == 0; }));
+  EXPECT_EQ(watch(job.id(), 0, true).error_code(), grpc::StatusCode::NOT_FOUND);
 }
 
 TEST_F(LiveSessionTest, AStoppingCoordinatorAnswersWhatIsInFlight) {

@@ -102,11 +102,13 @@ class OwnersTest : public CoordinatorTest {
     }
     return stream->Finish().error_code();
   }
-  std::set<std::string> listed_by(const std::string& name) {
+  std::set<std::string> listed_by(const std::string& name, bool live_sessions = false) {
     grpc::ClientContext context;
     sign(context, name);
+    v1::ListJobsRequest request;
+    request.set_live_sessions(live_sessions);
     v1::ListJobsResponse response;
-    EXPECT_TRUE(stub_->ListJobs(&context, v1::ListJobsRequest(), &response).ok());
+    EXPECT_TRUE(stub_->ListJobs(&context, request, &response).ok());
     std::set<std::string> ids;
     for (const v1::Job& job : response.jobs()) ids.insert(job.id());
     return ids;
@@ -150,6 +152,28 @@ TEST_F(OwnersTest, OneSeesOnesOwnJobs) {
   EXPECT_EQ(remove_as("bob", "a"), StatusCode::NOT_FOUND);
   EXPECT_EQ(create_as("bob", "a"), StatusCode::ALREADY_EXISTS) << "the same request makes it no job of bob's";
   EXPECT_EQ(get_as("alice", "a"), StatusCode::OK);
+}
+
+TEST_F(OwnersTest, SessionsOfOthersAreNotSeen) {
+  start();
+  grpc::ClientContext context;
+  sign(context, "alice");
+  const auto stream = stub_->Enhance(&context);
+  v1::EnhanceRequest request;
+  *request.mutable_open()->mutable_coarse() = to_message(testing::sheet());
+  request.mutable_open()->set_detail(v1::DETAIL_NETWORK);
+  v1::EnhanceResponse response;
+  ASSERT_TRUE(stream->Write(request) && stream->Read(&response));
+  const std::set<std::string> ids = listed_by("alice", true);
+  ASSERT_EQ(ids.size(), 1U);
+  EXPECT_EQ(listed_by("bob", true).size(), 0U);
+  EXPECT_EQ(listed_by("dashboard", true), ids);
+  EXPECT_EQ(get_as("bob", *ids.begin()), StatusCode::NOT_FOUND);
+  EXPECT_EQ(watch_as("bob", *ids.begin()), StatusCode::NOT_FOUND);
+  EXPECT_EQ(get_as("dashboard", *ids.begin()), StatusCode::OK);
+  EXPECT_EQ(cancel_as("alice", *ids.begin()), StatusCode::NOT_FOUND) << "its client ends it";
+  stream->WritesDone();
+  EXPECT_TRUE(stream->Finish().ok());
 }
 
 TEST_F(OwnersTest, AWatcherReadsAndChangesNothing) {
