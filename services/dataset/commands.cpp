@@ -2,6 +2,7 @@
 
 #include <cstdio>
 
+#include "common/base/error.hpp"
 #include "common/base/process.hpp"
 #include "common/base/program.hpp"
 #include "services/dataset/verify.hpp"
@@ -25,21 +26,26 @@ void print(const VerifyReport& report) {
 void add_generate_options(CLI::App& app, GenerateChoice& choice) {
   app.add_option("--set", choice.set, "scenes")
       ->capture_default_str()
-      ->check(CLI::IsMember({"draping", "hitting", "sheet", "disk"}));
+      ->check(CLI::IsMember({"draping", "hitting", "sheet", "disk", "skirt", "tshirt", "pants"}));
   app.add_option("--scale", choice.scale,
-                 "frames a sequence; small: 150 or 60, full: the papers' 400 (draping), 1,000 (hitting) or 200")
+                 "frames a sequence; small: 150 or 60, full: the papers' 400 (draping), 1,000 (hitting) or 200 (sheet, "
+                 "disk), whole motions (skirt, tshirt, pants)")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
   app.add_option("--fine", choice.fine,
-                 "the fine cloth follows the coarse one, by averages or by the paper's springs, or goes its own way "
-                 "(sheet, disk: always)")
-      ->capture_default_str()
+                 "the fine cloth follows the coarse one, by averages (default) or by the paper's springs, or goes its "
+                 "own way (sheet, disk: always; tshirt, pants: the default)")
       ->check(CLI::IsMember({"tracked", "springs", "free"}));
-  app.add_option("--rounds", choice.rounds, "2, 3 or 4: 16, 64 or 256 fine faces for each coarse one (default: 2)")
+  app.add_option("--rounds", choice.rounds,
+                 "2, 3 or 4: 16, 64 or 256 fine faces for each coarse one (default: 2; tshirt, pants: 3)")
       ->check(positive_number());
   app.add_option("--frames", choice.frames, "frames a sequence, instead of the scale's")->check(positive_number());
-  app.add_option("--train", choice.train, "sequences for training (default: 10, 27, 16 or 8)")->check(natural_number());
-  app.add_option("--test", choice.test, "sequences for testing (default: 3, 8, 4 or 2)")->check(natural_number());
+  app.add_option(
+         "--train", choice.train,
+         "sequences for training (default: draping 10, hitting 27, sheet 16, disk 8, skirt 5, tshirt and pants 18)")
+      ->check(natural_number());
+  app.add_option("--test", choice.test, "sequences for testing (default: draping 3, hitting 8, sheet 4, others 2)")
+      ->check(natural_number());
   app.add_option("--extra", choice.extra, "further sequences for training, behind the others, which stay the same")
       ->capture_default_str()
       ->check(natural_number());
@@ -49,12 +55,19 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
   app.add_option("--garment-scale", choice.garment_scale, "metres per unit of the garment's file: 0.01 for centimetres")
       ->capture_default_str()
       ->check(positive_number());
-  app.add_option("--material", choice.material, "material, ARCSim JSON (default: gray interlock)");
+  app.add_option("--material", choice.material,
+                 "material, ARCSim JSON (default: gray interlock; skirt, tshirt, pants: isotropic medium)");
+  app.add_option("--body", choice.body,
+                 "character that wears the garment at rest (skirt, tshirt, pants; default: the "
+                 "shipped young woman)");
+  app.add_option("--motions", choice.motions,
+                 "BVH and AMC files, or folders of them (skirt, tshirt, pants; default: what is shipped)");
   app.add_flag("--deflate,!--no-deflate", choice.deflate, "compress finished sequences (default: yes)");
 }
 
 GenerateOptions generate_options(const GenerateChoice& choice, const std::string& git_revision) {
   const SetSize size = set_size(choice.set, choice.scale == "full");
+  const SetDefaults defaults = set_defaults(choice.set);
   GenerateOptions options;
   options.folder = choice.folder;
   options.scenes.set = choice.set;
@@ -64,13 +77,21 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
   options.scenes.rounds = choice.rounds;
   options.scenes.seed = choice.seed;
-  options.scenes.tracked = choice.fine != "free";
+  options.scenes.tracked = choice.fine.empty() ? defaults.tracked : choice.fine != "free";
   options.scenes.springs = choice.fine == "springs";
   options.scenes.garment = choice.garment;
-  if (choice.garment.empty()) options.scenes.garment = shipped_file(default_garment(choice.set));
+  if (choice.garment.empty()) options.scenes.garment = shipped_file(defaults.garment);
   options.scenes.garment_scale = choice.garment_scale;
   options.scenes.material = choice.material;
-  if (choice.material.empty()) options.scenes.material = shipped_file("materials/gray-interlock.json");
+  if (choice.material.empty()) options.scenes.material = shipped_file(defaults.material);
+  if (is_dressed_set(choice.set)) {
+    options.scenes.body = choice.body;
+    if (choice.body.empty()) options.scenes.body = shipped_file("bodies/young-female.glb");
+    options.scenes.motions.assign(choice.motions.begin(), choice.motions.end());
+    if (choice.motions.empty()) options.scenes.motions = {shipped_file("bodies")};
+  } else if (!choice.body.empty() || !choice.motions.empty()) {
+    throw_invalid_argument("--body and --motions are for the sets skirt, tshirt and pants");
+  }
   options.workers = choice.workers;
   options.deflate = choice.deflate;
   options.git_revision = git_revision;

@@ -5,14 +5,18 @@
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <vector>
 
 #include "services/dataset/generate.hpp"
 
 namespace pleat::dataset {
 
 struct GenerateChoice {
-  std::string folder, set = "draping", scale = "small", fine = "tracked";
-  std::string garment, material;  ///< empty: the set's own, its fabric
+  std::string folder, set = "draping", scale = "small";
+  std::string fine;                  ///< empty: as the set's is
+  std::string garment, material;     ///< empty: the set's own, its fabric
+  std::string body;                  ///< empty: the young woman
+  std::vector<std::string> motions;  ///< empty: all that are shipped
   double garment_scale = 1;
   int frames = 0, rounds = 0, train = -1, test = -1, extra = 0, workers = 0;
   std::uint64_t seed = 1;

@@ -29,7 +29,7 @@ using Clock = std::chrono::steady_clock;
 
 /// What a worker writes to its pipe: one of these per event, smaller than PIPE_BUF so that it arrives whole.
 struct Event {
-  enum Kind : std::uint32_t { kFrame, kDone, kFailed };
+  enum Kind : std::uint32_t { kFrame, kDone, kDropped, kFailed };
   std::uint32_t kind = kFrame;
   std::uint32_t code = 0;
   std::uint64_t frames = 0;
@@ -59,9 +59,13 @@ void send(int pipe, const Event& event) {
       event.frames = frames;
       send(pipe, event);
     });
-    last.kind = Event::kDone;
-    std::snprintf(last.text, sizeof(last.text), "%.0f ms coarse and %.0f ms fine a frame, %llu steps cut",
-                  report.coarse_ms, report.fine_ms, static_cast<unsigned long long>(report.cut_steps));
+    last.kind = report.dropped.empty() ? Event::kDone : Event::kDropped;
+    if (report.dropped.empty()) {
+      std::snprintf(last.text, sizeof(last.text), "%.0f ms coarse and %.0f ms fine a frame, %llu steps cut",
+                    report.coarse_ms, report.fine_ms, static_cast<unsigned long long>(report.cut_steps));
+    } else {
+      std::snprintf(last.text, sizeof(last.text), "%s", report.dropped.c_str());
+    }
   } catch (const Error& error) {
     last.kind = Event::kFailed;
     last.code = static_cast<std::uint32_t>(error.code());
@@ -72,7 +76,7 @@ void send(int pipe, const Event& event) {
     std::snprintf(last.text, sizeof(last.text), "%s", error.what());
   }
   send(pipe, last);
-  _exit(last.kind == Event::kDone ? 0 : 1);
+  _exit(last.kind == Event::kFailed ? 1 : 0);
 }
 
 Worker start_worker(const GenerateOptions& options, const SequencePlan& plan, std::size_t index) {
@@ -107,7 +111,6 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   master.topology.coarse = scene.garment;
   master.topology.fine = std::move(subdivision.fine);
   master.topology.feature_vertices = std::move(subdivision.feature_vertices);
-  for (const SequencePlan& plan : plans) master.sequences.push_back(plan.name);
   return master;
 }
 
@@ -141,15 +144,24 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
   std::vector<SequencePlan> plans = plan_sequences(options.scenes, &notes);
   DatasetMaster master = make_master(options, plans);
   const std::map<std::string, std::uint64_t> complete = inspect(options, plans, master);
-  write_dataset_master(options.folder, master);
 
   const std::size_t processors = available_processors();
   std::vector<std::size_t> waiting;
   std::vector<std::uint64_t> done(plans.size(), 0);
+  std::vector<char> dropped(plans.size(), 0);
   for (std::size_t i = plans.size(); i-- > 0;) {
     if (const auto found = complete.find(plans[i].name); found != complete.end()) done[i] = found->second;
-    if (!is_finished(options.folder, plans[i].name)) waiting.push_back(i);
+    dropped[i] = why_dropped(options.folder, plans[i]).has_value();
+    if (!dropped[i] && !is_finished(options.folder, plans[i].name)) waiting.push_back(i);
   }
+  const auto write_master = [&] {
+    master.sequences.clear();
+    for (std::size_t i = 0; i < plans.size(); ++i) {
+      if (dropped[i] == 0) master.sequences.push_back(plans[i].name);
+    }
+    write_dataset_master(options.folder, master);
+  };
+  write_master();
   const std::size_t most = options.workers > 0 ? static_cast<std::size_t>(options.workers) : processors;
   const std::size_t workers_wanted = std::max<std::size_t>(1, std::min(most, waiting.size()));
   for (SequencePlan& plan : plans) {
@@ -166,7 +178,10 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
   const auto report = [&](const std::string& message) {
     Progress now;
     now.frames_done = total();
-    now.frames = static_cast<std::uint64_t>(options.scenes.frames) * plans.size();
+    now.frames = 0;
+    for (std::size_t i = 0; i < plans.size(); ++i) {
+      if (dropped[i] == 0) now.frames += static_cast<std::uint64_t>(plans[i].scene.frames);
+    }
     now.elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
     const auto made = static_cast<double>(now.frames_done - before);
     if (made > 0) now.left_s = now.elapsed_s * static_cast<double>(now.frames - now.frames_done) / made;
@@ -199,9 +214,17 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
           report("");
         } else {
           worker.ended = true;
-          const bool ok = event.kind == Event::kDone;
-          report(name + (ok ? " is finished: " : " failed: ") + event.text);
-          if (!ok && !failure) failure.emplace(static_cast<ErrorCode>(event.code), name + ": " + event.text);
+          const bool failed = event.kind == Event::kFailed;
+          if (event.kind == Event::kDropped) {
+            dropped[worker.plan] = 1;
+            done[worker.plan] = 0;
+          }
+          report(name +
+                 (failed                      ? " failed: "
+                  : dropped[worker.plan] != 0 ? " is dropped: "
+                                              : " is finished: ") +
+                 event.text);
+          if (failed && !failure) failure.emplace(static_cast<ErrorCode>(event.code), name + ": " + event.text);
         }
         continue;
       }
@@ -218,9 +241,10 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
     }
   }
   if (failure) throw *failure;
+  write_master();
   report("normalisation of the training split");
   master.normalization = measure_range(DatasetReader(options.folder), options.margin);
-  write_dataset_master(options.folder, master);
+  write_master();
 }
 
 }  // namespace pleat::dataset

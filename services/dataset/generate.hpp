@@ -28,7 +28,8 @@ struct GenerateOptions {
 
 /// Makes what is missing of the data set, then writes its master file. Frames that exist are kept; a data set that was
 /// begun with other scenes is refused with kFailedPrecondition. Forks: call it before other threads exist. If sequences
-/// fail, the others are made all the same and the first failure is thrown.
+/// fail, the others are made all the same and the first failure is thrown. Dressed sequences that are dropped
+/// (sequence.hpp) are not in the master file, and are not tried again.
 void generate(const GenerateOptions& options, const std::function<void(const Progress&)>& progress);
 
 }  // namespace pleat::dataset

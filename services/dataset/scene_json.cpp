@@ -16,10 +16,22 @@ nlohmann::ordered_json to_json(const Topology& mesh) {
   return json;
 }
 
+nlohmann::ordered_json to_json(const BodyMotion& motion) {
+  nlohmann::ordered_json json;
+  json["file"] = "../bodies/" + motion.body.filename().string();
+  json["motionFile"] = "../bodies/" + motion.motion.filename().string();
+  json["startS"] = motion.start_s;
+  json["endS"] = motion.end_s;
+  json["easeFrames"] = motion.ease_frames;
+  if (motion.mirrored) json["mirrored"] = true;
+  return json;
+}
+
 }  // namespace
 
-std::string scene_to_json(const simulation::Scene& scene, const std::filesystem::path& garment,
+std::string scene_to_json(const SequencePlan& plan, const std::filesystem::path& garment,
                           const std::filesystem::path& material) {
+  const simulation::Scene& scene = plan.scene;
   nlohmann::ordered_json json;
   json["name"] = scene.name;
   json["garmentFile"] = "../garments/" + garment.filename().string();
@@ -43,6 +55,9 @@ std::string scene_to_json(const simulation::Scene& scene, const std::filesystem:
   if (scene.tracking.frequency > 0) json["tracking"]["frequency"] = scene.tracking.frequency;
   if (scene.tracking.spring > 0) json["tracking"]["spring"] = scene.tracking.spring;
   if (scene.tracking.two_level) json["tracking"]["twoLevel"] = true;
+  if (scene.contact.obstacle_friction != simulation::Contact().obstacle_friction) {
+    json["obstacleFriction"] = scene.contact.obstacle_friction;
+  }
   if (!scene.wind.velocity.isZero()) json["wind"]["velocity"] = to_array(scene.wind.velocity);
   for (const simulation::Handle& handle : scene.handles) {
     json["handles"].push_back({{"vertices", handle.vertices}, {"hard", handle.hard}});
@@ -50,6 +65,7 @@ std::string scene_to_json(const simulation::Scene& scene, const std::filesystem:
   for (const simulation::Obstacle& obstacle : scene.obstacles) {
     nlohmann::ordered_json entry;
     entry["name"] = obstacle.name;
+    if (plan.body) entry["body"] = to_json(*plan.body);
     if (obstacle.radius > 0) {
       entry["sphere"] = {{"center", to_array(obstacle.center)}, {"radius", obstacle.radius}};
     }

@@ -4,6 +4,7 @@
 
 #include "common/base/error.hpp"
 #include "common/mesh/garment.hpp"
+#include "services/dataset/dressed_sets.hpp"
 #include "services/dataset/flat_sets.hpp"
 #include "services/dataset/placement.hpp"
 #include "services/dataset/random.hpp"
@@ -69,36 +70,8 @@ simulation::Scene hitting_scene(const Topology& cloth, const std::vector<std::ui
   return scene;
 }
 
-}  // namespace
-
-SetSize set_size(const std::string& set, bool full) {
-  if (set == "hitting") return {27, 8, full ? 1000 : 150};
-  if (set == "sheet") return {16, 4, full ? 200 : 60};
-  if (set == "disk") return {8, 2, full ? 200 : 60};
-  return {10, 3, full ? 400 : 150};
-}
-
-bool is_free_set(const std::string& set) { return set == "sheet" || set == "disk"; }
-
-std::string default_garment(const std::string& set) {
-  return is_free_set(set) ? "garments/" + set + ".obj" : "garments/tablecloth.obj";
-}
-
-std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes) {
-  if (std::max({options.train, options.test, options.extra}) > kMostSequences) {
-    throw_invalid_argument("data set: at most " + std::to_string(kMostSequences) + " sequences of a kind");
-  }
-  if (options.train < 0 || options.test < 0 || options.extra < 0 || options.train + options.test + options.extra < 1) {
-    throw_invalid_argument("data set: at least one sequence is needed");
-  }
-  if (options.frames < 2) throw_invalid_argument("data set: at least 2 frames per sequence are needed");
-  if (options.set != "draping" && options.set != "hitting" && !is_free_set(options.set)) {
-    throw_invalid_argument("data set '" + options.set + "' is unknown; there are draping, hitting, sheet and disk");
-  }
-  std::vector<std::string> unasked;
-  const Topology cloth = read_garment(options.garment, notes != nullptr ? *notes : unasked, options.garment_scale);
-  require_rest_lengths(cloth, options.garment.string());
-  const simulation::Material material = simulation::read_material(options.material);
+// The sets without a body: each sequence has the same number of frames.
+std::vector<SequencePlan> plan_flat(const SceneOptions& options, const Topology& cloth) {
   std::vector<std::uint32_t> edge = upper_edge(cloth);
   const auto train = static_cast<std::size_t>(options.train), count = train + static_cast<std::size_t>(options.test),
              all = count + static_cast<std::size_t>(options.extra);
@@ -125,8 +98,6 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     const bool test = i >= train && i < count;
     const std::size_t in_split = test ? i - train : i < train ? i : i - static_cast<std::size_t>(options.test);
     plan.split = test ? "test" : "train";
-    const std::string number = std::to_string(i);
-    plan.name = options.set + "-" + std::string(number.size() < 2 ? 1 : 0, '0') + number;
     const double duration = options.frames * simulation::Scene().frame_time_s;
     if (options.set == "draping") {
       plan.scene = draping_scene(cloth, i < count ? edge[i] : others[in_split % others.size()], random);
@@ -137,16 +108,73 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     } else {
       plan.scene = disk_scene(cloth, i, random);
     }
+    plan.scene.frames = options.frames;
+    plans.push_back(std::move(plan));
+  }
+  return plans;
+}
+
+}  // namespace
+
+SetSize set_size(const std::string& set, bool full) {
+  if (set == "hitting") return {27, 8, full ? 1000 : 150};
+  if (set == "sheet") return {16, 4, full ? 200 : 60};
+  if (set == "disk") return {8, 2, full ? 200 : 60};
+  if (set == "skirt") return {5, 2, full ? 1000 : 150};
+  if (is_dressed_set(set)) return {18, 2, full ? 1000 : 150};
+  return {10, 3, full ? 400 : 150};
+}
+
+bool is_free_set(const std::string& set) { return set == "sheet" || set == "disk"; }
+
+bool is_dressed_set(const std::string& set) { return set == "skirt" || set == "tshirt" || set == "pants"; }
+
+SetDefaults set_defaults(const std::string& set) {
+  SetDefaults defaults;
+  defaults.garment = is_free_set(set) ? "garments/" + set + ".obj" : "garments/tablecloth.obj";
+  // The knit of the other sets stretches so far that a skirt slips over the hips (deploy/garments/README.md).
+  defaults.material = is_dressed_set(set) ? "materials/isotropic-medium.json" : "materials/gray-interlock.json";
+  defaults.tracked = !is_free_set(set);
+  if (set == "skirt") defaults.garment = "garments/long-skirt.obj";
+  if (set == "tshirt" || set == "pants") {
+    defaults.garment = set == "tshirt" ? "garments/t-shirt.obj" : "garments/trousers.obj";
+    defaults.rounds = 3;
+    defaults.tracked = false;
+  }
+  return defaults;
+}
+
+std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes) {
+  if (std::max({options.train, options.test, options.extra}) > kMostSequences) {
+    throw_invalid_argument("data set: at most " + std::to_string(kMostSequences) + " sequences of a kind");
+  }
+  if (options.train < 0 || options.test < 0 || options.extra < 0 || options.train + options.test + options.extra < 1) {
+    throw_invalid_argument("data set: at least one sequence is needed");
+  }
+  if (options.frames < 2) throw_invalid_argument("data set: at least 2 frames per sequence are needed");
+  const bool dressed = is_dressed_set(options.set);
+  if (options.set != "draping" && options.set != "hitting" && !is_free_set(options.set) && !dressed) {
+    throw_invalid_argument("data set '" + options.set +
+                           "' is unknown; there are draping, hitting, sheet, disk, skirt, tshirt and pants");
+  }
+  std::vector<std::string> unasked;
+  const Topology cloth = read_garment(options.garment, notes != nullptr ? *notes : unasked, options.garment_scale);
+  require_rest_lengths(cloth, options.garment.string());
+  const simulation::Material material = simulation::read_material(options.material);
+  std::vector<SequencePlan> plans =
+      dressed ? plan_dressed(options, cloth, notes != nullptr ? *notes : unasked) : plan_flat(options, cloth);
+  for (std::size_t i = 0; i < plans.size(); ++i) {
+    SequencePlan& plan = plans[i];
+    const std::string number = std::to_string(i);
+    plan.name = options.set + "-" + std::string(number.size() < 2 ? 1 : 0, '0') + number;
     plan.scene.name = plan.name;
     plan.scene.material = material;
-    plan.scene.frames = options.frames;
     plan.scene.seed = options.seed;
-    if (options.rounds > 0) plan.scene.subdivision_rounds = options.rounds;
+    plan.scene.subdivision_rounds = options.rounds > 0 ? options.rounds : set_defaults(options.set).rounds;
     plan.tracked = options.tracked && !is_free_set(options.set);
     if (!plan.tracked) plan.scene.tracking.frequency = 0;
     if (plan.tracked && options.springs) plan.scene.tracking = simulation::published_tracking();
-    plan.scene_json = scene_to_json(plan.scene, options.garment, options.material);
-    plans.push_back(std::move(plan));
+    plan.scene_json = scene_to_json(plan, options.garment, options.material);
   }
   return plans;
 }

@@ -2,6 +2,8 @@
 #pragma once
 
 #include <filesystem>
+#include <limits>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,11 +11,20 @@
 
 namespace pleat::dataset {
 
+/// A character and its motion, as pleat.v1.Body has them.
+struct BodyMotion {
+  std::filesystem::path body, motion;
+  double start_s = 0, end_s = std::numeric_limits<double>::infinity();  ///< of the motion
+  int ease_frames = 0;                                                  ///< from the rest pose into the motion
+  bool mirrored = false;
+};
+
 /// A sequence to be: its scene, and the split that it belongs to.
 struct SequencePlan {
   std::string name;
   std::string split;  ///< "train" or "test"
   simulation::Scene scene;
+  std::optional<BodyMotion> body;  ///< the scene's only obstacle, which has no shape before put_body (dressed_sets.hpp)
   bool tracked = true;
   std::string scene_json;  ///< the same as pleat.v1.Scene in protobuf's JSON form
 };
@@ -24,22 +35,31 @@ struct SetSize {
   int frames = 150;          ///< per sequence
 };
 /// The papers' size ([MFSR] section 6, [DT-S]), or the same sequences cut short. draping: 10 + 3 sequences of 400
-/// frames; hitting: 27 + 8 of 1,000; sheet: 16 + 4 of 200; disk: 8 + 2 of 200. Small: 150 frames each, or 60.
+/// frames; hitting: 27 + 8 of 1,000; sheet: 16 + 4 of 200; disk: 8 + 2 of 200; skirt: 5 + 2, tshirt and pants: 18 + 2,
+/// at most 1,000 frames of each motion. Small: 150 frames each, or 60 (sheet, disk).
 SetSize set_size(const std::string& set, bool full);
 
-/// The sets of [DT-S]: their fine cloth is always a simulation of its own.
+/// SHEET and DISK of [DT-S]: their fine cloth is always a simulation of its own.
 bool is_free_set(const std::string& set);
 
-/// Below deploy/: the garment that a set is made for.
-std::string default_garment(const std::string& set);
+/// skirt, tshirt and pants: garments on a body that moves.
+bool is_dressed_set(const std::string& set);
+
+/// What a set is made of unless told otherwise. Paths are below deploy/.
+struct SetDefaults {
+  std::string garment, material;
+  int rounds = simulation::Scene().subdivision_rounds;
+  bool tracked = true;
+};
+SetDefaults set_defaults(const std::string& set);
 
 struct SceneOptions {
-  std::string set = "draping";  ///< draping, hitting, sheet or disk
+  std::string set = "draping";  ///< draping, hitting, sheet, disk, skirt, tshirt or pants
   int train = 10;               ///< sequences for training
   int test = 3;                 ///< sequences for testing
   int extra = 0;                ///< further sequences for training, behind the others, which stay as they are
   int frames = 150;             ///< per sequence, the initial state included
-  int rounds = 0;               ///< of edge splitting: 2, 3, 4 make 16, 64, 256 fine faces of one; 0: 2
+  int rounds = 0;               ///< of edge splitting: 2, 3, 4 make 16, 64, 256 fine faces of one; 0: the set's
   std::uint64_t seed = 1;
   bool tracked = true;             ///< the fine cloth follows the coarse one; false, and always false for sheet and
                                    ///< disk: free fine simulations ([DT-S])
@@ -47,18 +67,21 @@ struct SceneOptions {
   std::filesystem::path garment;   ///< OBJ or PLY with material coordinates
   double garment_scale = 1;        ///< metres per unit of the file
   std::filesystem::path material;  ///< ARCSim-format JSON
+  std::filesystem::path body;      ///< dressed sets: a rigged character that wears the garment at rest
+  std::vector<std::filesystem::path> motions;  ///< dressed sets: BVH and AMC files, and folders of them
 };
 
 /// DRAPING: one vertex of the cloth's upper edge is held; the cloth starts tilted by a random rotation, falls and
 /// swings. No two sequences hold the same vertex; further ones hold the others, then those of the training split again.
 /// HITTING: two corners of the upper edge are held, and a sphere swings through the hanging cloth; one of its five
-/// sizes and three of its eight places are in the test split only, in turn. SHEET and DISK: flat_sets.hpp.
-/// Deterministic for a seed. Throws kInvalidArgument (unknown set, counts), and what reading the files throws.
-/// `notes`, if given, gets a line for what was changed in the garment or is unusual about it (read_garment).
+/// sizes and three of its eight places are in the test split only, in turn. SHEET and DISK: flat_sets.hpp. SKIRT,
+/// TSHIRT and PANTS: dressed_sets.hpp; they may have fewer sequences than was asked for. Deterministic for a seed.
+/// Throws kInvalidArgument (unknown set, counts), and what reading the files throws. `notes`, if given, gets a line for
+/// what was changed in the garment or is unusual about it (read_garment), and for what was left out.
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes = nullptr);
 
 /// The scene as a file beside deploy/scenes/*.json would have it. Only what plan_sequences sets.
-std::string scene_to_json(const simulation::Scene& scene, const std::filesystem::path& garment,
+std::string scene_to_json(const SequencePlan& plan, const std::filesystem::path& garment,
                           const std::filesystem::path& material);
 
 }  // namespace pleat::dataset

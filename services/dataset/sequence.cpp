@@ -3,12 +3,14 @@
 #include <algorithm>
 #include <fstream>
 #include <iterator>
-#include <vector>
+#include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
 #include "common/base/own_file.hpp"
 #include "common/base/whole_file.hpp"
 #include "common/store/dataset.hpp"
+#include "services/dataset/dressed_sets.hpp"
+#include "services/dataset/poses.hpp"
 #include "services/simulation/simulation.hpp"
 
 namespace pleat::dataset {
@@ -20,6 +22,19 @@ constexpr std::uint64_t kCheckpointInterval = 20;
 
 fs::path sequence_file(const fs::path& folder, const std::string& name) {
   return folder / "sequences" / (name + ".h5");
+}
+
+fs::path dropped_file(const fs::path& folder, const std::string& name) {
+  return folder / "sequences" / (name + ".dropped");
+}
+
+/// A note of drop_sequence; null if it is none.
+nlohmann::json read_dropped(const fs::path& path) {
+  std::ifstream stream(path, std::ios::binary);
+  const nlohmann::json note = nlohmann::json::parse(stream, nullptr, false);
+  const bool whole = note.is_object() && note.contains("reason") && note["reason"].is_string() &&
+                     note.contains("scene") && note["scene"].is_string();
+  return whole ? note : nlohmann::json();
 }
 
 fs::path checkpoint_file(const fs::path& folder, const std::string& name) {
@@ -62,8 +77,36 @@ bool is_finished(const fs::path& folder, const std::string& name) {
   return fs::exists(sequence_file(folder, name), error);
 }
 
-SequenceReport make_sequence(const fs::path& folder, const SequencePlan& plan, bool deflate,
+std::optional<std::string> why_dropped(const fs::path& folder, const SequencePlan& plan) {
+  const nlohmann::json note = read_dropped(dropped_file(folder, plan.name));
+  if (note.is_null() || note["scene"] != plan.scene_json) return std::nullopt;
+  return note["reason"].get<std::string>();
+}
+
+std::vector<std::pair<std::string, std::string>> dropped_sequences(const fs::path& folder) {
+  std::vector<std::pair<std::string, std::string>> dropped;
+  std::error_code error;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder / "sequences", error)) {
+    if (entry.path().extension() != ".dropped") continue;
+    const nlohmann::json note = read_dropped(entry.path());
+    if (!note.is_null()) dropped.emplace_back(entry.path().stem().string(), note["reason"].get<std::string>());
+  }
+  std::sort(dropped.begin(), dropped.end());
+  return dropped;
+}
+
+void drop_sequence(const fs::path& folder, const SequencePlan& plan, const std::string& reason) {
+  write_whole_file(dropped_file(folder, plan.name),
+                   nlohmann::ordered_json{{"reason", reason}, {"scene", plan.scene_json}}.dump());
+  std::error_code error;
+  fs::remove(sequence_file(folder, plan.name) += ".partial", error);
+  fs::remove(checkpoint_file(folder, plan.name), error);
+}
+
+SequenceReport make_sequence(const fs::path& folder, const SequencePlan& planned, bool deflate,
                              const std::function<void(std::uint64_t)>& on_frame) {
+  SequencePlan plan = planned;
+  if (plan.body) put_body(plan.scene, *plan.body);
   simulation::Simulation simulation(plan.scene, mode_of(plan));
   SequenceOptions options;
   options.name = plan.name;
@@ -82,6 +125,9 @@ SequenceReport make_sequence(const fs::path& folder, const SequencePlan& plan, b
   const fs::path checkpoint = checkpoint_file(folder, plan.name);
   restore_checkpoint(checkpoint, writer.frames_complete(), plan, simulation);
 
+  std::optional<WornJudge> judge;
+  if (plan.body) judge.emplace(plan.scene.garment.rest_positions, plan.scene.obstacles.front().mesh.rest_positions);
+
   SequenceReport report;
   std::uint64_t simulated = 0;
   while (writer.frames_complete() < options.frames) {
@@ -90,6 +136,15 @@ SequenceReport make_sequence(const fs::path& folder, const SequencePlan& plan, b
     report.fine_ms += frame.times.fine_ms;
     report.cut_steps += frame.report.cut_steps;
     ++simulated;
+    if (judge) {
+      const std::string fault =
+          judge->why_not(frame.coarse.positions, frame.obstacles.front().positions, frame.report.obstacle_lag_m);
+      if (!fault.empty()) {
+        report.dropped = "frame " + std::to_string(frame.coarse.index) + ": " + fault;
+        drop_sequence(folder, plan, report.dropped);
+        return report;
+      }
+    }
     if (frame.coarse.index < writer.frames_complete()) continue;
     SequenceFrame record;
     record.time_s = frame.coarse.time_s;
@@ -107,6 +162,7 @@ SequenceReport make_sequence(const fs::path& folder, const SequencePlan& plan, b
   writer.finish();
   std::error_code error;
   fs::remove(checkpoint, error);
+  fs::remove(dropped_file(folder, plan.name), error);  // of another scene
   return report;
 }
 

@@ -4,7 +4,10 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "services/dataset/scenes.hpp"
 
@@ -15,13 +18,24 @@ struct SequenceReport {
   double coarse_ms = 0;  ///< mean per frame
   double fine_ms = 0;    ///< mean per frame
   std::uint64_t cut_steps = 0;
+  std::string dropped;  ///< why the sequence is no good and was not kept; empty: it was
 };
 
 /// True if FOLDER/sequences/NAME.h5 is finished.
 bool is_finished(const std::filesystem::path& folder, const std::string& name);
 
+/// Why the sequence was dropped when it was made of this very scene; nothing if it was not.
+std::optional<std::string> why_dropped(const std::filesystem::path& folder, const SequencePlan& plan);
+
+/// Name and reason of all dropped sequences of a folder, by name.
+std::vector<std::pair<std::string, std::string>> dropped_sequences(const std::filesystem::path& folder);
+
+/// Leaves word that the sequence is dropped, in FOLDER/sequences/NAME.dropped, and removes what there is of it.
+void drop_sequence(const std::filesystem::path& folder, const SequencePlan& plan, const std::string& reason);
+
 /// Simulates the coarse and the tracked fine cloth and records every frame. A check-point beside the file every 20
-/// frames lets a killed process continue with the same bits. `on_frame` gets the number of complete frames.
+/// frames lets a killed process continue with the same bits. `on_frame` gets the number of complete frames. A dressed
+/// sequence that WornJudge finds fault with is dropped.
 SequenceReport make_sequence(const std::filesystem::path& folder, const SequencePlan& plan, bool deflate,
                              const std::function<void(std::uint64_t)>& on_frame);
 

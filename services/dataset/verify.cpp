@@ -8,6 +8,7 @@
 #include "common/mesh/mesh.hpp"
 #include "common/store/dataset.hpp"
 #include "services/dataset/normalization.hpp"
+#include "services/dataset/sequence.hpp"
 #include "services/refinement/judge.hpp"
 
 namespace pleat::dataset {
@@ -188,6 +189,8 @@ nlohmann::json describe(const std::filesystem::path& folder) {
   for (const auto& [split, counts] : splits)
     description["splits"][split] = {{"sequences", counts.first}, {"frames", counts.second}};
   description["not_begun"] = master.sequences.size() - sequences.size();
+  description["dropped"] = nlohmann::json::object();
+  for (const auto& [name, reason] : dropped_sequences(folder)) description["dropped"][name] = reason;
   return description;
 }
 
@@ -212,6 +215,9 @@ std::vector<std::string> to_lines(const nlohmann::json& description) {
   for (const auto& [split, counts] : description.at("splits").items()) {
     lines.push_back("split " + split + ": " + number(counts.at("sequences")) + " sequences, " +
                     number(counts.at("frames")) + " frames");
+  }
+  for (const auto& [name, reason] : description.at("dropped").items()) {
+    lines.push_back(name + ": dropped, " + reason.get<std::string>());
   }
   if (description.at("not_begun") > 0)
     lines.push_back(number(description.at("not_begun")) + " sequences are not begun");

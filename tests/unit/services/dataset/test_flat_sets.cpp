@@ -23,7 +23,7 @@ class FlatSets : public SmallSet {
     options.scenes.train = size.train;
     options.scenes.test = size.test;
     options.scenes.frames = size.frames;
-    options.scenes.garment = options.scenes.material.parent_path().parent_path() / default_garment(set);
+    options.scenes.garment = options.scenes.material.parent_path().parent_path() / set_defaults(set).garment;
   }
 };
 
