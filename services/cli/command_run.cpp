@@ -80,8 +80,8 @@ class Run {
     const v1::Detail detail =
         options_.mode.empty() ? choose_detail(options_.detail, options_.model) : detail_named(options_.mode);
     std::vector<std::string> notes;
-    v1::Scene scene =
-        presentation::read_scene_file(shipped_or(options_.scene, "scenes"), {options_.frames, options_.scale, &notes});
+    v1::Scene scene = presentation::read_scene_file(shipped_or(options_.scene, "scenes"),
+                                                    {options_.frames, options_.scale, &notes, &bodies_});
     print_notes(notes);
     if (options_.untangle) scene.set_untangle(true);
     const bool local = options_.coordinator.empty();
@@ -219,11 +219,12 @@ class Run {
     summary.extra["frame_errors"] = job.summary().frame_errors();
     summary.extra["pinched_frames"] = job.summary().pinched_frames();
     summary.extra["pinch_depth_mm"] = 1e3 * static_cast<double>(job.summary().pinch_depth_m());
-    return write_reports(out_, std::move(summary), options_.json);
+    return write_reports(out_, std::move(summary), options_.json, bodies_);
   }
 
   RunOptions options_;
   fs::path out_;
+  std::vector<presentation::SceneBody> bodies_;
   std::optional<ScratchFolder> work_;  // after the services' end it goes, with what they kept
   std::optional<Launcher> launcher_;
   std::optional<client::Client> client_;

@@ -9,6 +9,7 @@
 #include "common/store/hdf5.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
+#include "services/simulation/body/animated_body.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -71,10 +72,18 @@ void make_output_folder(const fs::path& folder) {
   for (const char* name : {"report.json", "report.html"}) require_replaceable(folder / name, kReportMarks);
 }
 
-int write_reports(const fs::path& folder, presentation::ReportSummary summary, bool json) {
+int write_reports(const fs::path& folder, presentation::ReportSummary summary, bool json,
+                  const std::vector<presentation::SceneBody>& bodies) {
   summary.git_revision = git_revision();
   summary.extra["machine"] = machine_info();
-  const presentation::ReportInput input = presentation::read_report_input(folder / "result.h5", std::move(summary));
+  presentation::ReportInput input = presentation::read_report_input(folder / "result.h5", std::move(summary));
+  for (presentation::ReportObstacle& obstacle : input.obstacles) {
+    for (const auto& [name, body] : bodies) {
+      if (name != obstacle.shape.name) continue;
+      obstacle.skin =
+          std::make_shared<const presentation::ReportSkin>(presentation::ReportSkin{body->mesh(), body->motion()});
+    }
+  }
   presentation::write_report_json(input, folder / "report.json");
   presentation::write_report_html(input, folder / "report.html");
   const nlohmann::json report = presentation::make_report_json(input);

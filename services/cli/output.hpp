@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "common/frame/detail.hpp"
+#include "services/presentation/input/scene_file.hpp"
 #include "services/presentation/report/report.hpp"
 
 namespace pleat::cli {
@@ -23,8 +24,10 @@ void print_notes(const std::vector<std::string>& notes);
 
 /// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout, with
 /// `json` as report.json has them. Returns the exit code:
-/// kExitNotClean, with a line on stderr, if penetrations or self-intersections are left.
-int write_reports(const std::filesystem::path& folder, presentation::ReportSummary summary, bool json = false);
+/// kExitNotClean, with a line on stderr, if penetrations or self-intersections are left. bodies: of the scene, which
+/// the page skins itself.
+int write_reports(const std::filesystem::path& folder, presentation::ReportSummary summary, bool json = false,
+                  const std::vector<presentation::SceneBody>& bodies = {});
 
 /// "draping" and, if the text is a path, its folder: "deploy/models/draping.pt" -> {draping, deploy/models}.
 struct ModelChoice {

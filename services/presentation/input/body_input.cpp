@@ -5,7 +5,6 @@
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
-#include "services/simulation/body/animated_body.hpp"
 
 namespace pleat::presentation {
 namespace {
@@ -42,8 +41,8 @@ fs::path file_of(const std::string& name, const fs::path& folder, const std::str
 
 }  // namespace
 
-void inline_body(v1::Obstacle& obstacle, double frame_time_s, std::size_t most, const fs::path& folder,
-                 const std::string& where, std::vector<std::string>& notes) {
+body::AnimatedBody inline_body(v1::Obstacle& obstacle, double frame_time_s, std::size_t most, const fs::path& folder,
+                               const std::string& where, std::vector<std::string>& notes) {
   const v1::Body message = obstacle.body();
   if (obstacle.motion_size() > 0) throw_invalid_argument(where + " has key frames, a body moves by its motion_file");
   if (obstacle.has_animation()) throw_invalid_argument(where + " has an animation, a body moves by its motion_file");
@@ -53,10 +52,10 @@ void inline_body(v1::Obstacle& obstacle, double frame_time_s, std::size_t most, 
                                           file_of(message.motion_file(), folder, where + ".body.motion_file"),
                                           file_of(message.skeleton_file(), folder, where + ".body.skeleton_file")};
   try {
-    const body::AnimatedBody animated(source, options,
-                                      message.skinning() == v1::Body::SKINNING_DUAL_QUATERNION
-                                          ? body::Skinning::kDualQuaternion
-                                          : body::Skinning::kLinear);
+    body::AnimatedBody animated(source, options,
+                                message.skinning() == v1::Body::SKINNING_DUAL_QUATERNION
+                                    ? body::Skinning::kDualQuaternion
+                                    : body::Skinning::kLinear);
     for (const std::string& note : animated.notes()) notes.push_back("'" + obstacle.name() + "': " + note);
     const auto fast = body::find_fast(animated.motion());
     for (std::size_t i = 0; i < std::min(fast.size(), kMaxFastPlaces); ++i) {
@@ -66,7 +65,7 @@ void inline_body(v1::Obstacle& obstacle, double frame_time_s, std::size_t most, 
     mesh.rest_positions = animated.positions(0);
     *obstacle.mutable_mesh() = to_message(mesh);
     const std::size_t samples = std::min(animated.frame_count(), most);
-    if (samples < 2) return;
+    if (samples < 2) return animated;
     obstacle.mutable_animation()->set_sample_time_s(options.frame_time_s);
     auto& positions = *obstacle.mutable_animation()->mutable_positions();
     positions.Reserve(static_cast<int>(samples * static_cast<std::size_t>(mesh.rest_positions.size())));
@@ -74,6 +73,7 @@ void inline_body(v1::Obstacle& obstacle, double frame_time_s, std::size_t most, 
       const Positions sample = animated.positions(k);
       positions.Add(sample.data(), sample.data() + sample.size());
     }
+    return animated;
   } catch (const Error& error) {
     throw Error(error.code(), where + ".body: " + error.what());
   }

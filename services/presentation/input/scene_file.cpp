@@ -170,11 +170,16 @@ std::size_t samples_needed(double sample_time, const v1::Scene& scene) {
 
 /// Puts what the obstacle's files hold in their places.
 void inline_obstacle(v1::Obstacle& obstacle, const v1::Scene& scene, const fs::path& folder, const std::string& where,
-                     std::vector<std::string>& notes) {
+                     const SceneReading& reading, std::vector<std::string>& notes) {
   const double frame_time = frame_time_of(scene);
   if (obstacle.has_body()) {
     const double sample_time = obstacle.body().has_frame_time_s() ? obstacle.body().frame_time_s() : frame_time;
-    inline_body(obstacle, frame_time, samples_needed(sample_time, scene), folder, where, notes);
+    const bool linear = obstacle.body().skinning() != v1::Body::SKINNING_DUAL_QUATERNION;
+    body::AnimatedBody body =
+        inline_body(obstacle, frame_time, samples_needed(sample_time, scene), folder, where, notes);
+    if (reading.bodies != nullptr && linear && sample_time == frame_time) {
+      reading.bodies->push_back({obstacle.name(), std::make_shared<const body::AnimatedBody>(std::move(body))});
+    }
     return;
   }
   if (obstacle.shape_case() == v1::Obstacle::kMeshFile) {
@@ -246,7 +251,8 @@ v1::Scene parse_scene(const std::string& text, const std::string& name, const fs
     check.fail("material_file is missing");
   }
   for (int o = 0; o < scene.obstacles_size(); ++o) {
-    inline_obstacle(*scene.mutable_obstacles(o), scene, folder, name + ": obstacles[" + std::to_string(o) + "]", notes);
+    inline_obstacle(*scene.mutable_obstacles(o), scene, folder, name + ": obstacles[" + std::to_string(o) + "]",
+                    reading, notes);
   }
   check_scene(scene, scene.garment_mesh().rest_positions_size() / 3, check);
   return scene;

@@ -3,17 +3,29 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "pleat/v1/scene.pb.h"
 
+namespace pleat::body {
+class AnimatedBody;
+}
+
 namespace pleat::presentation {
+
+/// A body of a scene that is skinned linearly, a frame of its motion for each frame of the scene.
+struct SceneBody {
+  std::string obstacle;  ///< its name
+  std::shared_ptr<const body::AnimatedBody> body;
+};
 
 struct SceneReading {
   std::uint32_t frames = 0;                   ///< instead of the scene's number; 0: the scene's
   double scale = 1;                           ///< metres per unit of the garment's file
   std::vector<std::string>* notes = nullptr;  ///< gets what was changed or is unusual, a line each
+  std::vector<SceneBody>* bodies = nullptr;   ///< gets the bodies whose points the message has
 };
 
 /// Reads a scene file and puts the files that it names (garments, material, meshes, animations, bodies and their

@@ -56,6 +56,72 @@ json add_sequence(Payload& payload, const std::string& name, const std::function
           {"origin", std::move(origin)}};
 }
 
+constexpr float kSkinTolerance = 2e-4f;  // metres: a body that is farther from its motion waits for pinched cloth
+constexpr double kMarkerArm = 0.25;      // metres from a joint to the points that say how it is turned
+
+/// Three points of every joint: where it is, and kMarkerArm along the x and y axes of its turn since rest.
+Positions joint_markers(const std::vector<body::RigidTransform>& rest, const std::vector<body::RigidTransform>& world) {
+  Positions points(static_cast<Eigen::Index>(3 * world.size()), 3);
+  for (std::size_t j = 0; j < world.size(); ++j) {
+    const Eigen::Matrix3d turn = (world[j].rotation * rest[j].rotation.conjugate()).toRotationMatrix();
+    const auto row = static_cast<Eigen::Index>(3 * j);
+    points.row(row) = world[j].translation.transpose().cast<float>();
+    for (int axis = 0; axis < 2; ++axis) {
+      points.row(row + 1 + axis) = (world[j].translation + kMarkerArm * turn.col(axis)).transpose().cast<float>();
+    }
+  }
+  return points;
+}
+
+/// Adds mesh, weights and joints to the obstacle's description, and the points of those frames in which it is not where
+/// they say. Returns false, and adds nothing, if that is so in most frames.
+bool add_skin(Payload& payload, json& out, const ReportObstacle& obstacle, const std::string& name, std::size_t count,
+              std::size_t stride) {
+  const body::SkinnedMesh& mesh = obstacle.skin->mesh;
+  const body::Motion& motion = obstacle.skin->motion;
+  const std::size_t joints = mesh.skeleton.size();
+  const auto world = [&](std::size_t t) {
+    return body::world_transforms(mesh.skeleton, motion.frames[std::min(t, motion.frames.size() - 1)]);
+  };
+  std::vector<std::size_t> elsewhere;  // frames
+  json stored = json::array();         // among those of the page
+  std::size_t frames = 0;
+  for (std::size_t t = 0; t < count; t += stride, ++frames) {
+    const Positions positions = obstacle.at(t).positions, skinned = body::skin(mesh, world(t), body::Skinning::kLinear);
+    if (positions.rows() != skinned.rows()) return false;
+    if ((positions - skinned).cwiseAbs().maxCoeff() <= kSkinTolerance) continue;
+    elsewhere.push_back(t);
+    stored.push_back(frames);
+  }
+  if (2 * elsewhere.size() > frames) return false;
+
+  const std::vector<body::RigidTransform> rest = body::world_transforms(mesh.skeleton, body::rest_pose(mesh.skeleton));
+  const auto of_joint = [&](std::size_t t) { return joint_markers(rest, world(t)); };
+  const auto at_rest = [&](std::size_t) { return mesh.mesh.rest_positions; };
+  const auto joints_at_rest = [&](std::size_t) { return joint_markers(rest, rest); };
+  json& skin = out["skin"];
+  skin["rest"] = add_sequence(payload, name + "_rest", at_rest, 1, 1, mesh.mesh.vertex_count(), obstacle.shape.faces);
+  skin["joints_at_rest"] = add_sequence(payload, name + "_joints_at_rest", joints_at_rest, 1, 1,
+                                        static_cast<Eigen::Index>(3 * joints), Faces());
+  skin["joints"] =
+      add_sequence(payload, name + "_joints", of_joint, count, stride, static_cast<Eigen::Index>(3 * joints), Faces());
+  skin["influences"] = name + "_influences";
+  skin["weights"] = name + "_weights";
+  std::vector<std::uint32_t> influences, weights;
+  for (Eigen::Index k = 0; k < mesh.joints.size(); ++k) {
+    influences.push_back(mesh.joints.data()[k]);
+    weights.push_back(static_cast<std::uint32_t>(std::lround(65535.0f * mesh.weights.data()[k])));
+  }
+  add_words(payload, name + "_influences", influences);
+  add_words(payload, name + "_weights", weights);
+  if (elsewhere.empty()) return true;
+  out["sequence"] = add_sequence(
+      payload, name, [&](std::size_t k) { return obstacle.at(elsewhere[k]).positions; }, elsewhere.size(), 1,
+      mesh.mesh.vertex_count(), obstacle.shape.faces);
+  out["sequence_frames"] = std::move(stored);
+  return true;
+}
+
 json add_obstacle(Payload& payload, const ReportObstacle& obstacle, std::size_t index, std::size_t count,
                   std::size_t stride) {
   json out = {{"name", obstacle.shape.name}};
@@ -72,12 +138,13 @@ json add_obstacle(Payload& payload, const ReportObstacle& obstacle, std::size_t 
     return out;
   }
   const std::string name = "obstacle" + std::to_string(index);
+  out["faces"] = name + "_faces";
+  add_words(payload, name + "_faces", words_of(obstacle.shape.faces));
+  if (obstacle.skin && add_skin(payload, out, obstacle, name, count, stride)) return out;
   const Eigen::Index vertices = count > 0 ? obstacle.at(0).positions.rows() : 0;
   out["sequence"] = add_sequence(
       payload, name, [&](std::size_t t) { return obstacle.at(t).positions; }, count, stride, vertices,
       obstacle.shape.faces);
-  out["faces"] = name + "_faces";
-  add_words(payload, name + "_faces", words_of(obstacle.shape.faces));
   return out;
 }
 

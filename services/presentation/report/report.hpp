@@ -5,12 +5,15 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
 #include "common/frame/frame.hpp"
 #include "common/mesh/mesh.hpp"
+#include "services/simulation/body/motion.hpp"
+#include "services/simulation/body/skinned_mesh.hpp"
 
 namespace pleat::presentation {
 
@@ -20,10 +23,18 @@ struct ReportStage {
   std::vector<double> ms;  ///< (T) milliseconds, one per frame
 };
 
+/// How the vertices of an obstacle follow joints: linear blend skinning, frame k of the motion in frame k.
+struct ReportSkin {
+  body::SkinnedMesh mesh;
+  body::Motion motion;  ///< of the mesh's skeleton; its last frame stays
+};
+
 /// An obstacle and its state in every frame.
 struct ReportObstacle {
   ObstacleShape shape;
   std::function<ObstacleFrame(std::size_t frame)> at;
+  /// Where known, the page gets this and skins the body itself; frames in which `at` is elsewhere have their points.
+  std::shared_ptr<const ReportSkin> skin = nullptr;
 };
 
 /// A number per frame besides the times, for example penetrations or self_intersections.
@@ -80,7 +91,8 @@ void write_report_json(const ReportInput& input, const std::filesystem::path& pa
 
 /// Writes the self-contained page to `path`: the viewer with topologies, frames, obstacles and times inside it.
 /// Positions are quantised to 16 bits of the largest frame bounding box (1.5 m cloth: 23 um), stored as differences in
-/// time and deflated. Throws kInvalidArgument (frame sizes), kResourceExhausted (disk, or one frame above max_bytes).
+/// time and deflated; of a skinned obstacle mesh, weights and joints. Throws kInvalidArgument (frame sizes),
+/// kResourceExhausted (disk, or one frame above max_bytes).
 void write_report_html(const ReportInput& input, const std::filesystem::path& path,
                        const ReportHtmlOptions& options = {});
 

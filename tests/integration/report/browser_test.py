@@ -191,6 +191,26 @@ class ReportTest(unittest.TestCase):
         self.browser.run("pleatReport.frame = arguments[0]", FRAMES - 1)
         self.assertGreater(colors(self.picture("map")), 40)
 
+    def test_a_body_is_skinned_in_the_page(self):
+        self.use(self.plain)
+
+        def place(frame):
+            return self.browser.run("pleatReport.frame = arguments[0]; return pleatReport.obstacle(1)", frame)
+
+        # Vertices 0, 3 and 6 are 5 cm beside the pole's foot, middle and top.
+        self.assert_near(place(0), {0: (0.75, 0, 0), 3: (0.75, 0.4, 0), 6: (0.75, 0.8, 0)})
+        # The upper half has turned by a quarter to the left; the middle ring is the mean of two.
+        last = place(FRAMES - 1)
+        self.assert_near(last, {0: (0.75, 0, 0), 3: (0.725, 0.425, 0), 6: (0.3, 0.45, 0)})
+        # In this frame it was recorded higher than its joints say.
+        self.assert_near(place(10), {0: (0.75, 0.25, 0)})
+        self.assert_near(place(11), {0: (0.75, 0, 0)})
+
+    def assert_near(self, positions, expected):
+        for vertex, point in expected.items():
+            for axis in range(3):
+                self.assertAlmostEqual(positions[3 * vertex + axis], point[axis], delta=2e-4)
+
     def test_a_damaged_page_says_so(self):
         damaged = self.report.parent / "damaged.html"
         text = self.report.read_text()

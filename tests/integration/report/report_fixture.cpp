@@ -1,9 +1,10 @@
 // report_fixture DIR [frames] [plain]: a small result.h5 of a cloth that sinks over a sphere, made from formulas, and
-// its report.json and report.html. With `plain` it has no reference. Material for the browser test and for work on the
-// viewer: nothing is simulated.
+// its report.json and report.html. With `plain` it has no reference, and a skinned pole beside it. Material for the
+// browser test and for work on the viewer: nothing is simulated.
 #include <cmath>
 #include <filesystem>
 #include <iostream>
+#include <memory>
 #include <string>
 
 #include "common/base/error.hpp"
@@ -52,6 +53,40 @@ float stage_time(std::size_t stage, std::size_t frame) {
   return kBase[stage] * (0.9f + 0.25f * noise + (frame % 37 == 20 ? 0.8f : 0.0f));
 }
 
+/// A pole of 0.8 m beside the cloth that bends at half its height.
+pleat::presentation::ReportSkin bending_pole(std::size_t frames) {
+  pleat::presentation::ReportSkin skin;
+  auto& [mesh, motion] = skin;
+  mesh.skeleton.joints = {{"foot", -1, {0.7, 0, 0}}, {"knee", 0, {0, 0.4, 0}}};
+  mesh.mesh.rest_positions.resize(9, 3);
+  mesh.joints.setZero(9, pleat::body::kInfluences);
+  mesh.weights.setZero(9, pleat::body::kInfluences);
+  for (Eigen::Index v = 0; v < 9; ++v) {
+    const float angle = 2.0944f * static_cast<float>(v % 3);
+    const Eigen::Index ring = v / 3;
+    mesh.mesh.rest_positions.row(v) << 0.7f + 0.05f * std::cos(angle), 0.4f * static_cast<float>(ring),
+        0.05f * std::sin(angle);
+    mesh.joints(v, 0) = 1;
+    mesh.weights(v, 0) = 0.5f * static_cast<float>(ring);
+    mesh.weights(v, 1) = 1 - mesh.weights(v, 0);
+  }
+  mesh.mesh.faces.resize(12, 3);
+  for (std::uint32_t k = 0; k < 6; ++k) {
+    const std::uint32_t a = k / 3 * 3 + k % 3, b = k / 3 * 3 + (k + 1) % 3;
+    mesh.mesh.faces.row(2 * k) << a, a + 3, b;
+    mesh.mesh.faces.row(2 * k + 1) << b, a + 3, b + 3;
+  }
+  motion.skeleton = mesh.skeleton;
+  motion.frame_time_s = kFrameTime;
+  for (std::size_t t = 0; t < frames; ++t) {
+    pleat::body::Pose pose = pleat::body::rest_pose(mesh.skeleton);
+    const double angle = 1.5707963 * static_cast<double>(t) / static_cast<double>(frames - 1);
+    pose.rotations[1] = Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitZ());
+    motion.frames.push_back(pose);
+  }
+  return skin;
+}
+
 void make(const std::filesystem::path& folder, std::size_t frames, bool plain) {
   const pleat::Topology coarse = pleat::read_obj("deploy/garments/tablecloth.obj");
   const pleat::Subdivision subdivision = pleat::subdivide(coarse);
@@ -63,6 +98,11 @@ void make(const std::filesystem::path& folder, std::size_t frames, bool plain) {
   options.has_fine = !plain;
   options.obstacles = {{"ball", {}}};
   options.obstacle_vertices = {0};
+  const auto pole = std::make_shared<const pleat::presentation::ReportSkin>(bending_pole(frames));
+  if (plain) {
+    options.obstacles.push_back({"pole", pole->mesh.mesh.faces});
+    options.obstacle_vertices.push_back(pole->mesh.mesh.vertex_count());
+  }
   options.stages = {"simulation", "to_image", "superres", "to_mesh", "refinement"};
   options.counts = {"penetrations", "self_intersections"};
   std::filesystem::create_directories(folder);
@@ -80,6 +120,15 @@ void make(const std::filesystem::path& folder, std::size_t frames, bool plain) {
     ball.center = Eigen::Vector3f(0, 0.02f * std::sin(6.28f * share), 0);
     ball.radius = kSphereRadius;
     frame.obstacles = {ball};
+    if (plain) {
+      pleat::ObstacleFrame moved;
+      moved.name = "pole";
+      moved.positions =
+          pleat::body::skin(pole->mesh, pleat::body::world_transforms(pole->mesh.skeleton, pole->motion.frames[t]),
+                            pleat::body::Skinning::kLinear);
+      if (t == 10) moved.positions.col(1).array() += 0.25f;  // not where its joints say
+      frame.obstacles.push_back(moved);
+    }
     for (std::size_t s = 0; s < options.stages.size(); ++s) frame.stages_ms.push_back(stage_time(s, t));
     frame.counts = {0, 0};
     writer.append(frame);
@@ -90,7 +139,8 @@ void make(const std::filesystem::path& folder, std::size_t frames, bool plain) {
   summary.title = "Sheet over a ball";
   summary.precision = "bfloat16";
   summary.wall_s = 0.0131 * static_cast<double>(frames);
-  const pleat::presentation::ReportInput input = pleat::presentation::read_report_input(folder / "result.h5", summary);
+  pleat::presentation::ReportInput input = pleat::presentation::read_report_input(folder / "result.h5", summary);
+  if (plain) input.obstacles[1].skin = pole;
   pleat::presentation::write_report_json(input, folder / "report.json");
   pleat::presentation::write_report_html(input, folder / "report.html");
 }

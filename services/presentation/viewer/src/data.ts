@@ -8,11 +8,22 @@ export interface SequenceMeta {
   origin: number[];
 }
 
+export interface SkinMeta {
+  rest: SequenceMeta;
+  joints_at_rest: SequenceMeta;
+  joints: SequenceMeta;
+  influences: string;
+  weights: string;
+}
+
 export interface ObstacleMeta {
   name: string;
   centers?: number[];
   radii?: number[];
   sequence?: SequenceMeta;
+  /** Which of the page's frames `sequence` has, for a skinned body; otherwise it has all. */
+  sequence_frames?: number[];
+  skin?: SkinMeta;
   faces?: string;
 }
 
@@ -208,6 +219,111 @@ export class Upsampling {
   }
 }
 
+const kInfluences = 4;
+const kNoFaces = new Uint32Array(0);
+
+/** A body that follows joints: linear blend skinning. Frames in which it is elsewhere have their points. */
+export class SkinnedBody implements Frames {
+  readonly frames: number;
+  readonly vertices: number;
+  private readonly rest: Float32Array;
+  /** Of each joint at rest: its place. */
+  private readonly pivots: Float32Array;
+  /** Rows of the 3 x 4 matrices of all joints, in the frame that was asked for last. */
+  private readonly matrices: Float32Array;
+  private readonly markers: Float32Array;
+
+  private constructor(
+    rest: Sequence,
+    atRest: Sequence,
+    private readonly joints: Sequence,
+    private readonly influences: Uint32Array,
+    private readonly weights: Float32Array,
+    private readonly elsewhere: Map<number, number>,
+    private readonly points?: Sequence,
+  ) {
+    this.frames = joints.frames;
+    this.vertices = rest.vertices;
+    this.rest = rest.positions(0, new Float32Array(3 * rest.vertices));
+    this.pivots = atRest.positions(0, new Float32Array(3 * atRest.vertices));
+    this.markers = new Float32Array(3 * joints.vertices);
+    this.matrices = new Float32Array(4 * joints.vertices);
+  }
+
+  static async read(meta: SkinMeta, faces: Uint32Array, points?: Sequence, frames?: number[]): Promise<SkinnedBody> {
+    const [rest, atRest, joints, influences, words] = await Promise.all([
+      Sequence.read(meta.rest, faces),
+      Sequence.read(meta.joints_at_rest, kNoFaces),
+      Sequence.read(meta.joints, kNoFaces),
+      readWords(meta.influences),
+      readWords(meta.weights),
+    ]);
+    const weights = new Float32Array(words.length);
+    for (let i = 0; i < words.length; i += kInfluences) {
+      let sum = 0;
+      for (let k = i; k < i + kInfluences; ++k) sum += words[k];
+      for (let k = i; k < i + kInfluences; ++k) weights[k] = words[k] / sum;
+    }
+    const elsewhere = new Map((frames ?? []).map((frame, index) => [frame, index]));
+    return new SkinnedBody(rest, atRest, joints, influences, weights, elsewhere, points);
+  }
+
+  positions(frame: number, out: Float32Array): Float32Array {
+    const stored = this.elsewhere.get(frame);
+    if (stored !== undefined && this.points) return this.points.positions(stored, out);
+    this.pose(frame);
+    const { rest, influences, weights, matrices } = this;
+    for (let v = 0; v < this.vertices; ++v) {
+      const x = rest[3 * v];
+      const y = rest[3 * v + 1];
+      const z = rest[3 * v + 2];
+      let px = 0;
+      let py = 0;
+      let pz = 0;
+      for (let k = kInfluences * v; k < kInfluences * (v + 1); ++k) {
+        const w = weights[k];
+        if (w === 0) continue;
+        const m = 12 * influences[k];
+        px += w * (matrices[m] * x + matrices[m + 1] * y + matrices[m + 2] * z + matrices[m + 3]);
+        py += w * (matrices[m + 4] * x + matrices[m + 5] * y + matrices[m + 6] * z + matrices[m + 7]);
+        pz += w * (matrices[m + 8] * x + matrices[m + 9] * y + matrices[m + 10] * z + matrices[m + 11]);
+      }
+      out[3 * v] = px;
+      out[3 * v + 1] = py;
+      out[3 * v + 2] = pz;
+    }
+    return out;
+  }
+
+  /** Of the three points of each joint: its place, and on its x and y axes, which are those of the world at rest. */
+  private pose(frame: number): void {
+    const { markers, matrices, pivots } = this;
+    this.joints.positions(frame, markers);
+    for (let i = 0; i < markers.length; i += 9) {
+      const x = unit([markers[i + 3] - markers[i], markers[i + 4] - markers[i + 1], markers[i + 5] - markers[i + 2]]);
+      const toY = [markers[i + 6] - markers[i], markers[i + 7] - markers[i + 1], markers[i + 8] - markers[i + 2]];
+      const z = unit(cross(x, toY));
+      const y = cross(z, x);
+      for (let row = 0; row < 3; ++row) {
+        const m = (4 * i) / 3 + 4 * row;
+        matrices[m] = x[row];
+        matrices[m + 1] = y[row];
+        matrices[m + 2] = z[row];
+        matrices[m + 3] = markers[i + row] - (x[row] * pivots[i] + y[row] * pivots[i + 1] + z[row] * pivots[i + 2]);
+      }
+    }
+  }
+}
+
+function cross(a: number[], b: number[]): number[] {
+  return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+}
+
+function unit(a: number[]): number[] {
+  const length = Math.hypot(a[0], a[1], a[2]) || 1;
+  return [a[0] / length, a[1] / length, a[2] / length];
+}
+
 export interface Sphere {
   center: ArrayLike<number>;
   radius: number;
@@ -251,7 +367,9 @@ export async function readDataset(): Promise<Dataset> {
   const obstacles = await Promise.all(
     meta.obstacles.map(async ({ name, centers, radii, sequence, ...mesh }): Promise<Obstacle> => {
       const faces = mesh.faces ? await readWords(mesh.faces) : undefined;
-      if (sequence && faces) return { name, faces, mesh: await Sequence.read(sequence, faces) };
+      const stored = sequence && faces && (await Sequence.read(sequence, faces));
+      const skinned = mesh.skin && faces && (await SkinnedBody.read(mesh.skin, faces, stored, mesh.sequence_frames));
+      if (faces && (skinned || stored)) return { name, faces, mesh: skinned ?? stored };
       if (!centers || !radii) return { name };
       return { name, sphere: (frame) => ({ center: centers.slice(3 * frame, 3 * frame + 3), radius: radii[frame] }) };
     }),

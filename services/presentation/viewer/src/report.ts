@@ -25,6 +25,8 @@ interface PleatReport {
   setCamera(azimuth: number, elevation: number, zoom?: number): void;
   /** RMS distance per shown frame of what the map can show, metres. */
   distances(kind: MapKind): number[];
+  /** Positions x0,y0,z0,x1,... of an obstacle's vertices in the shown frame, metres; none of a sphere. */
+  obstacle(index: number): number[];
   /** Draws now, and returns when the picture is complete. */
   render(): void;
 }
@@ -167,6 +169,10 @@ class Page {
       },
       setCamera: (azimuth, elevation, zoom) => page.stage.resetCamera(azimuth, elevation, zoom),
       distances: (kind) => [...(page.comparison.series.get(kind)?.rms ?? [])],
+      obstacle: (index) => {
+        const mesh = page.data.obstacles[index]?.mesh;
+        return mesh ? [...mesh.positions(page.player.stored, new Float32Array(3 * mesh.vertices))] : [];
+      },
       render: () => page.stage.render(),
     };
   }

@@ -316,6 +316,22 @@ class ReportFile : public testing::Test {
     return nlohmann::json::parse(page.substr(place, page.find("</script>", place) - place));
   }
 
+  static std::vector<std::uint8_t> blob(const std::string& page, const std::string& name) {
+    const std::string start = "id=\"pleat-" + name + "\">";
+    const std::size_t place = page.find(start) + start.size();
+    return decode_base64(page.substr(place, page.find('<', place) - place));
+  }
+
+  static std::vector<Positions> sequence_of(const std::string& page, const nlohmann::json& part, const Faces& faces) {
+    QuantizedSequence sequence;
+    sequence.frames = part["frames"];
+    sequence.vertices = part["vertices"];
+    sequence.step = part["step"];
+    sequence.origin = part["origin"].get<std::vector<float>>();
+    sequence.deflated = blob(page, part["blob"]);
+    return decode(sequence, faces);
+  }
+
   const test::TemporaryFolder temporary_;
   const fs::path folder_ = temporary_.path() / "out";
 };
@@ -339,20 +355,106 @@ TEST_F(ReportFile, PageHoldsDataThatDecode) {
   EXPECT_EQ(parts["report"], make_report_json(input));
   EXPECT_EQ(parts["stages"][0]["name"], "simulation");
   EXPECT_EQ(parts["obstacles"][0]["radii"].size(), 4u);
-  QuantizedSequence sequence;
-  const nlohmann::json& enhanced = parts["enhanced"];
-  sequence.frames = enhanced["frames"];
-  sequence.vertices = enhanced["vertices"];
-  sequence.step = enhanced["step"];
-  sequence.origin = enhanced["origin"].get<std::vector<float>>();
-  const std::string start = "id=\"pleat-enhanced\">";
-  const std::size_t place = text.find(start) + start.size();
-  sequence.deflated = decode_base64(text.substr(place, text.find('<', place) - place));
-  const std::vector<Positions> decoded = decode(sequence, input.fine_topology.faces);
+  const std::vector<Positions> decoded = sequence_of(text, parts["enhanced"], input.fine_topology.faces);
   ASSERT_EQ(decoded.size(), 4u);
   for (std::size_t t = 0; t < 4; ++t) {
-    EXPECT_LE((decoded[t] - input.enhanced(t)).cwiseAbs().maxCoeff(), sequence.step);
+    EXPECT_LE((decoded[t] - input.enhanced(t)).cwiseAbs().maxCoeff(), parts["enhanced"]["step"]);
   }
+}
+
+/// Three joints in a row, each vertex between two of them, and one that turns and rises.
+std::shared_ptr<const ReportSkin> worm(std::size_t frames) {
+  auto skin = std::make_shared<ReportSkin>();
+  body::SkinnedMesh& mesh = skin->mesh;
+  mesh.skeleton.joints = {
+      {"tail", -1, {0.1, 0.2, 0.3}},
+      {"middle", 0, {1, 0, 0}, Eigen::Quaterniond(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY()))},
+      {"head", 1, {1, 0, 0}}};
+  mesh.mesh = subdivide(quad(), 2).fine;
+  mesh.joints.setZero(mesh.mesh.vertex_count(), body::kInfluences);
+  mesh.weights.setZero(mesh.mesh.vertex_count(), body::kInfluences);
+  for (Eigen::Index v = 0; v < mesh.mesh.vertex_count(); ++v) {
+    mesh.joints.row(v) << static_cast<std::uint16_t>(v % 2), static_cast<std::uint16_t>(v % 2 + 1), 0, 0;
+    mesh.weights(v, 1) = static_cast<float>(v % 5) / 5;
+    mesh.weights(v, 0) = 1 - mesh.weights(v, 1);
+  }
+  skin->motion = {mesh.skeleton, 0.04, {}};
+  for (std::size_t t = 0; t < frames; ++t) {
+    body::Pose pose = body::rest_pose(mesh.skeleton);
+    pose.rotations[1] =
+        pose.rotations[1] * Eigen::AngleAxisd(0.3 * static_cast<double>(t), Eigen::Vector3d(1, 2, 2) / 3);
+    pose.translations[0].y() += 0.1 * static_cast<double>(t);
+    skin->motion.frames.push_back(pose);
+  }
+  return skin;
+}
+
+TEST_F(ReportFile, ABodyIsThereAsJointsAndWeightsAndWhereItIsElsewhereAsPoints) {
+  ReportInput input = make_input(false);
+  const auto skin = worm(4);
+  const body::SkinnedMesh& mesh = skin->mesh;
+  const auto at = [&](std::size_t t) {
+    ObstacleFrame frame;
+    frame.positions =
+        body::skin(mesh, body::world_transforms(mesh.skeleton, skin->motion.frames[t]), body::Skinning::kLinear);
+    if (t == 2) frame.positions.col(0).array() += 0.01f;
+    return frame;
+  };
+  input.obstacles.push_back({{"worm", mesh.mesh.faces}, at, skin});
+  const std::string text = page(input);
+  const nlohmann::json parts = meta(text), obstacle = parts["obstacles"][1];
+  ASSERT_TRUE(obstacle.contains("skin"));
+  EXPECT_EQ(obstacle["sequence_frames"], nlohmann::json::array({2}));
+  const auto points = sequence_of(text, obstacle["sequence"], mesh.mesh.faces);
+  ASSERT_EQ(points.size(), 1u);
+  EXPECT_LE((points[0] - at(2).positions).cwiseAbs().maxCoeff(), 1e-4f);
+  const auto rest = sequence_of(text, obstacle["skin"]["rest"], mesh.mesh.faces),
+             pivots = sequence_of(text, obstacle["skin"]["joints_at_rest"], Faces()),
+             joints = sequence_of(text, obstacle["skin"]["joints"], Faces());
+  ASSERT_EQ(joints.size(), 4u);
+  EXPECT_EQ(joints[0].rows(), 9);
+  const auto words = [&](const std::string& name) {
+    const auto planes = inflate_to(blob(text, obstacle["skin"][name]), 16 * static_cast<std::size_t>(rest[0].rows()));
+    std::vector<std::uint32_t> out(planes.size() / 4);
+    for (std::size_t i = 0; i < out.size(); ++i)
+      for (std::size_t plane = 0; plane < 4; ++plane) out[i] |= planes[plane * out.size() + i] << (8 * plane);
+    return out;
+  };
+  const std::vector<std::uint32_t> influences = words("influences"), weights = words("weights");
+  // As docs/report.md says.
+  for (const std::size_t t : {0u, 1u, 3u}) {
+    for (Eigen::Index v = 0; v < rest[0].rows(); ++v) {
+      Eigen::Vector3d place = Eigen::Vector3d::Zero();
+      for (std::size_t k = 4 * static_cast<std::size_t>(v); k < 4 * static_cast<std::size_t>(v + 1); ++k) {
+        const Eigen::Index j = 3 * static_cast<Eigen::Index>(influences[k]);
+        const auto row = [&](const Positions& x, Eigen::Index i) -> Eigen::Vector3d {
+          return x.row(i).transpose().cast<double>();
+        };
+        const Eigen::Vector3d origin = row(joints[t], j), x = (row(joints[t], j + 1) - origin).normalized(),
+                              y = (row(joints[t], j + 2) - origin).normalized();
+        const Eigen::Vector3d local = row(rest[0], v) - row(pivots[0], j);
+        place += weights[k] / 65535.0 * (origin + local.x() * x + local.y() * y + local.z() * x.cross(y));
+      }
+      EXPECT_LE((place - at(t).positions.row(v).transpose().cast<double>()).norm(), 3e-4) << t << " " << v;
+    }
+  }
+}
+
+TEST_F(ReportFile, ABodyThatIsElsewhereInMostFramesIsThereAsPoints) {
+  ReportInput input = make_input(false);
+  const auto skin = worm(4);
+  const Positions still = skin->mesh.mesh.rest_positions;
+  input.obstacles.push_back({{"worm", skin->mesh.mesh.faces},
+                             [still](std::size_t) {
+                               ObstacleFrame frame;
+                               frame.positions = still;
+                               return frame;
+                             },
+                             skin});
+  const std::string text = page(input);
+  const nlohmann::json obstacle = meta(text)["obstacles"][1];
+  EXPECT_FALSE(obstacle.contains("skin"));
+  EXPECT_EQ(sequence_of(text, obstacle["sequence"], skin->mesh.mesh.faces).size(), 4u);
 }
 
 TEST_F(ReportFile, NamesCannotBreakThePage) {
