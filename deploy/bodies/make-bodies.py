@@ -1,10 +1,10 @@
 #!/usr/bin/python3
-"""Makes the bodies of this folder from MakeHuman's base mesh, and the motion from CMU's.
+"""Makes the bodies of this folder from MakeHuman's base mesh, and the motions from CMU's.
 
   make-bodies.py MAKEHUMAN CMU [FOLDER]
 
 MAKEHUMAN holds base/base.obj, targets/*.target, rigs/rig.cmu_mb.json and rigs/weights.cmu_mb.json as MakeHuman and
-MPFB publish them (CC0); CMU holds lambada.asf and lambada.amc. README.md says where they come from. A body is the
+MPFB publish them (CC0); CMU holds the captures that MOTIONS names. README.md says where they come from. A body is the
 group `body` of the base (13,380 vertices) with two targets, in metres, standing on y = 0, brought into a T pose by
 linear blend skinning; joints have the axes of the world at rest.
 """
@@ -18,6 +18,12 @@ import numpy as np
 BODY_VERTICES = 13380
 INFLUENCES = 4
 CLAVICLE_DEGREES = 12  # what a shoulder rises when the arm goes up to the horizontal
+MOTIONS = {"lambada": "lambada", "pirouette": "pirouette", "charleston": "charleston1"}
+# Captures of subject 5 that are at hand on Reallusion's skeleton only, 60 frames a second.
+RETARGETED = {f"05_0{take}": f"005_0{take}" for take in range(1, 9)}
+# What follows CC_Base_, or CC_Base_L_ and CC_Base_R_, in the joints that a body here has too.
+KEPT_JOINTS = {"Hip", "Pelvis", "Waist", "Spine01", "Spine02", "NeckTwist01", "NeckTwist02", "Head", "Clavicle",
+               "Upperarm", "Forearm", "Hand", "Thigh", "Calf", "Foot", "ToeBase"}
 BODIES = {
     "young-female": ["caucasian-female-young", "universal-female-young-averagemuscle-averageweight"],
     "young-male": ["caucasian-male-young", "universal-male-young-averagemuscle-averageweight"],
@@ -200,13 +206,119 @@ def shorten_motion(source, target):
     target.write_text("\n".join(lines) + "\n")
 
 
+def axis_rotations(axis, degrees):
+    """(..., 3, 3) rotations about x, y or z (0, 1, 2)."""
+    angle = np.radians(degrees)
+    result = np.zeros(np.shape(angle) + (3, 3))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    result[..., axis, axis] = 1
+    result[..., i, i] = result[..., j, j] = np.cos(angle)
+    result[..., j, i] = np.sin(angle)
+    result[..., i, j] = -result[..., j, i]
+    return result
+
+
+def read_bvh(path):
+    """Names, parents, offsets, (T x 3) places of the root, (T x joints x 3 x 3) world rotations, the frame time. The root
+    has channels X Y Z and all joints Z Y X, as Reallusion writes them."""
+    head, motion = path.read_text().split("MOTION")
+    names, parents, offsets, open_joints = [], [], [], []
+    for line in head.splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] in ("ROOT", "JOINT"):
+            parents.append(open_joints[-1] if open_joints else -1)
+            names.append(words[1])
+            offsets.append(None)
+            current = len(names) - 1
+        elif words[0] == "End":
+            current = None
+        elif words[0] == "{":
+            open_joints.append(current)
+        elif words[0] == "}":
+            open_joints.pop()
+        elif words[0] == "OFFSET" and current is not None:
+            offsets[current] = [float(word) for word in words[1:]]
+    lines = motion.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("Frame Time"))
+    rows = np.array([[float(word) for word in line.split()] for line in lines[start + 1:] if line.strip()])
+    angles = rows[:, 3:].reshape(len(rows), len(names), 3)
+    local = axis_rotations(2, angles[..., 0]) @ axis_rotations(1, angles[..., 1]) @ axis_rotations(0, angles[..., 2])
+    world = local.copy()
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            world[:, joint] = world[:, parent] @ local[:, joint]
+    return names, parents, np.array(offsets), rows[:, :3], world, float(lines[start].split(":")[1])
+
+
+def t_pose_rotation(name, shoulder):
+    """How Reallusion's joint is turned in a T pose: its bones go along its own y axis, which is up in the trunk, down in
+    the legs and outwards in the arms. `shoulder`: of the clavicle, which the captures don't move."""
+    side = 1 if name.startswith("CC_Base_L_") else -1
+    joint = name.split("_")[-1]
+    if joint == "Clavicle":
+        return shoulder
+    if joint in ("Upperarm", "Forearm", "Hand"):
+        return axis_rotations(2, -90.0 * side)
+    if joint in ("Thigh", "Calf"):
+        return axis_rotations(2, 180.0)
+    if joint in ("Foot", "ToeBase"):
+        return axis_rotations(2, 180.0) @ axis_rotations(0, 70.0)
+    return np.eye(3)
+
+
+def shorten_bvh(source, target):
+    """Every second frame, without fingers, face and twist joints, to a hundredth of a degree and of a centimetre, and
+    with the T pose as the pose without rotations."""
+    names, parents, offsets, places, world, frame_time = read_bvh(source)
+    kept = [joint for joint, name in enumerate(names) if name.split("_")[-1] in KEPT_JOINTS]
+    spine = names.index("CC_Base_Spine02")
+    rest = [t_pose_rotation(name, world[0, spine].T @ world[0, joint]) for joint, name in enumerate(names)]
+    world = np.stack([world[::2, joint] @ rest[joint].T for joint in range(len(names))], axis=1)
+
+    columns = [places[::2]]
+    for joint in kept:
+        parent = parents[joint]
+        local = world[:, joint] if parent < 0 else np.swapaxes(world[:, parent], 1, 2) @ world[:, joint]
+        columns.append(np.degrees(np.stack([np.arctan2(local[:, 1, 0], local[:, 0, 0]),
+                                            -np.arcsin(np.clip(local[:, 2, 0], -1, 1)),
+                                            np.arctan2(local[:, 2, 1], local[:, 2, 2])], axis=1)))
+    rows = np.concatenate(columns, axis=1)
+
+    text = ["HIERARCHY"]
+
+    def write(joint):
+        parent = parents[joint]
+        offset = offsets[joint] if parent < 0 else rest[parent] @ offsets[joint]
+        children = [child for child in kept if parents[child] == joint]
+        text.extend([f"{'ROOT' if parent < 0 else 'JOINT'} {names[joint]}", "{",
+                     "OFFSET " + " ".join(f"{value + 0.0:.3f}" for value in offset.round(3)),
+                     ("CHANNELS 6 Xposition Yposition Zposition " if parent < 0 else "CHANNELS 3 ") +
+                     "Zrotation Yrotation Xrotation"])
+        for child in children:
+            write(child)
+        if not children:
+            end = next((child for child in range(joint + 1, len(names)) if parents[child] == joint), joint)
+            text.extend(["End Site", "{", "OFFSET " + " ".join(f"{value:.3f}" for value in rest[joint] @ offsets[end]), "}"])
+        text.append("}")
+
+    write(kept[0])
+    text += ["MOTION", f"Frames: {len(rows)}", f"Frame Time: {2 * frame_time:.6f}"]
+    text += [" ".join(f"{value + 0.0:.2f}" for value in row) for row in rows.round(2)]
+    target.write_text("\n".join(text) + "\n")
+
+
 def main():
     makehuman, cmu = Path(sys.argv[1]), Path(sys.argv[2])
     out = Path(sys.argv[3]) if len(sys.argv) > 3 else Path(__file__).parent
     for name, targets in BODIES.items():
         make_body(name, targets, makehuman, out)
-    (out / "lambada.asf").write_text((cmu / "lambada.asf").read_text())
-    shorten_motion(cmu / "lambada.amc", out / "lambada.amc")
+    for name, source in MOTIONS.items():
+        (out / f"{name}.asf").write_text((cmu / f"{name}.asf").read_text())
+        shorten_motion(cmu / f"{source}.amc", out / f"{name}.amc")
+    for name, source in RETARGETED.items():
+        shorten_bvh(cmu / f"{source}.bvh", out / f"{name}.bvh")
 
 
 if __name__ == "__main__":
