@@ -4,6 +4,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "common/base/simd.hpp"
 #include "common/mesh/connectivity.hpp"
@@ -164,10 +165,50 @@ ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width, cons
       store_to(inverse_v_.data() + y * row_ + x, inverse_square(r.v));
     }
   }
+  if (charts.empty()) return;
+  find_rims(charts, positions.data());
   for (std::size_t i = 0; i < charts.size(); ++i) {
-    if (charts[i] == kNone) padding_.push_back({i, shown[i]});
+    if (charts[i] == kNone) padding_.push_back({i, shown[i], !between_charts(charts, i, charts[shown[i]])});
   }
-  if (!charts.empty()) find_rims(charts, positions.data());
+}
+
+/// Whether a texel has a neighbour of another chart than this one.
+bool ClothAxes::between_charts(const std::vector<std::uint32_t>& charts, std::size_t texel, std::uint32_t chart) const {
+  const auto y = static_cast<int>(texel) / width_, x = static_cast<int>(texel) % width_;
+  for (int ny = std::max(y - 1, 0); ny <= std::min(y + 1, height_ - 1); ++ny) {
+    for (int nx = std::max(x - 1, 0); nx <= std::min(x + 1, width_ - 1); ++nx) {
+      const std::uint32_t other = charts[static_cast<std::size_t>(ny * width_ + nx)];
+      if (other != kNone && other != chart) return true;
+    }
+  }
+  return false;
+}
+
+/// Texels at the tips of charts, without a neighbour along u or v, borrow from the nearest texel of their chart that
+/// has both.
+void ClothAxes::lend(const std::vector<std::uint32_t>& charts) {
+  constexpr int kReach = 4;
+  std::vector<std::uint8_t> whole(charts.size(), 1);
+  for (const RimTexel& rim : rims_) {
+    const auto& of = rim.of_chart;
+    whole[rim.texel] = (of[3] || of[5]) && (of[1] || of[7]);
+  }
+  for (const RimTexel& rim : rims_) {
+    if (whole[rim.texel] != 0) continue;
+    const int y = static_cast<int>(rim.texel) / width_, x = static_cast<int>(rim.texel) % width_;
+    std::optional<std::size_t> nearest;
+    int least = 2 * kReach * kReach + 1;
+    for (int ny = std::max(y - kReach, 0); ny <= std::min(y + kReach, height_ - 1); ++ny) {
+      for (int nx = std::max(x - kReach, 0); nx <= std::min(x + kReach, width_ - 1); ++nx) {
+        const auto other = static_cast<std::size_t>(ny * width_ + nx);
+        const int distance = (ny - y) * (ny - y) + (nx - x) * (nx - x);
+        if (charts[other] != charts[rim.texel] || whole[other] == 0 || distance >= least) continue;
+        nearest = other;
+        least = distance;
+      }
+    }
+    if (nearest) borrowed_.push_back({rim.texel, *nearest});
+  }
 }
 
 /// positions: of the rest mesh.
@@ -189,6 +230,7 @@ void ClothAxes::find_rims(const std::vector<std::uint32_t>& charts, const float*
       if (is_rim) rims_.push_back(rim);
     }
   }
+  lend(charts);
   for (RimTexel& rim : rims_) {
     Neighbourhood around{};
     gather(rim.of_chart, positions + rim.place, row_, plane, 0, around);
@@ -250,9 +292,19 @@ void ClothAxes::compute(const float* image, Scratch& scratch, float* features, f
     }
   }
   if (!rims_.empty()) compute_rims(image, scratch.data(), features, axes);
+  for (const Borrowed& borrowed : borrowed_) {
+    for (std::size_t c = 0; features != nullptr && c < kClothChannels; ++c) {
+      features[c * size + borrowed.texel] = features[c * size + borrowed.from];
+    }
+    for (std::size_t k = 0; axes != nullptr && k < 9; ++k) {
+      axes[k * size + borrowed.texel] = axes[k * size + borrowed.from];
+    }
+  }
   for (const Padding& pad : padding_) {
     for (std::size_t c = 0; features != nullptr && c < kClothChannels; ++c) features[c * size + pad.texel] = 0;
-    for (std::size_t k = 0; axes != nullptr && k < 9; ++k) axes[k * size + pad.texel] = axes[k * size + pad.shown];
+    for (std::size_t k = 0; axes != nullptr && k < 9; ++k) {
+      axes[k * size + pad.texel] = pad.has_axes ? axes[k * size + pad.shown] : 0;
+    }
   }
 }
 

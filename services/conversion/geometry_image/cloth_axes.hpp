@@ -33,7 +33,7 @@ class ClothAxes {
 
   /// image: (9, h, w), the channels of frame_channel_names(). features: (17, h, w). axes: (9, h, w), three vectors.
   /// Either result may be null. Where the rest mesh has no extent, strains are zero. Padding has the axes of the texel
-  /// that it shows, and features of zero, as of a sheet at rest.
+  /// that it shows, none between two charts, and features of zero, as of a sheet at rest.
   void compute(const float* image, Scratch& scratch, float* features, float* axes) const;
 
  private:
@@ -43,10 +43,16 @@ class ClothAxes {
     std::array<bool, 9> of_chart;
     float inverse_u, inverse_v;
   };
+  struct Borrowed {
+    std::size_t texel, from;
+  };
   struct Padding {
     std::size_t texel, shown;
+    bool has_axes;
   };
 
+  bool between_charts(const std::vector<std::uint32_t>& charts, std::size_t texel, std::uint32_t chart) const;
+  void lend(const std::vector<std::uint32_t>& charts);
   void find_rims(const std::vector<std::uint32_t>& charts, const float* positions);
   void extend(const float* displacement, float* positions) const;
   void compute_rims(const float* image, const float* positions, float* features, float* axes) const;
@@ -56,6 +62,7 @@ class ClothAxes {
   std::vector<float> rest_;                   ///< (3, h, w)
   std::vector<float> inverse_u_, inverse_v_;  ///< (h, row): 1 / squared length of a step in the rest mesh; 0: none
   std::vector<RimTexel> rims_;
+  std::vector<Borrowed> borrowed_;
   std::vector<Padding> padding_;
 };
 
