@@ -283,7 +283,7 @@ TEST_F(PipelineTest, AnAnswerThatWasNotAskedForIsABreak) {
 TEST_F(PipelineTest, AServiceThatComesBackIsFound) {
   const auto pipeline = make();
   pipeline->wait_open();
-  std::thread killer([this] {
+  std::jthread killer([this] {
     for (testing::FakeService* fake : {&fakes_.conversion(), &fakes_.superres(), &fakes_.refinement()}) {
       std::this_thread::sleep_for(30ms);
       fake->stop();
@@ -428,7 +428,7 @@ TEST_F(PipelineTest, ASlowSinkSlowsTheSource) {
     ++taken;
   });
   std::atomic<int> pushed{0};
-  std::thread producer([&] {
+  std::jthread producer([&] {
     for (std::uint64_t i = 0; i < 40; ++i) {
       pipeline->push(frame(i));
       ++pushed;

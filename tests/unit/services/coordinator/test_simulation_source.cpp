@@ -148,7 +148,7 @@ TEST_F(SimulationSourceTest, CancelEndsAWait) {
   SimulationSource::Options patient = options(12);
   patient.link.answer_timeout = 60s;
   SimulationSource source(patient);
-  std::thread canceller([&] {
+  std::jthread canceller([&] {
     while (fakes_.simulation().frames < 2) std::this_thread::sleep_for(1ms);
     source.cancel();
   });
