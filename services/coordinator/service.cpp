@@ -276,12 +276,22 @@ class CoordinatorService::Watcher {
 
   /// The result file, opened anew when it has grown beyond what the open one knows.
   const ResultReader& file(std::uint64_t index) {
-    if (!reader_ || index >= reader_->frames_complete()) {
+    if (!reader_ || index >= reader_->frames_complete()) open_file();
+    return *reader_;
+  }
+
+  void open_file() {
+    for (bool again = false;; again = true) {
       const auto path = result_file(service_.table_.folder(request_.id()));
       if (!path) throw_not_found("job " + request_.id() + " has no result file");
-      reader_.emplace(*path, FileOrigin::kOwn);
+      try {
+        reader_.emplace(*path, FileOrigin::kOwn);
+        return;
+      } catch (const Error& error) {
+        // Finished, and so renamed, since it was found.
+        if (error.code() != ErrorCode::kNotFound || again) throw;
+      }
     }
-    return *reader_;
   }
 
   const CoordinatorService& service_;
