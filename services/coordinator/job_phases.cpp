@@ -186,6 +186,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   session.obstacles = started.opened.obstacles();
   const Topology coarse = from_message(session.coarse, "the simulation's coarse mesh");
   session.coarse.set_hash(topology_hash(coarse));
+  if (network) session.network_coarse = coarse_for_network(session.model, coarse);
   const Subdivision subdivision = subdivision_of(session, coarse, [&] {
     if (!network) return;
     session.conversion = describe_conversion(addresses_, link_, session, [&] { return job.cause().has_value(); });

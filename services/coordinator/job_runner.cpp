@@ -149,11 +149,7 @@ JobRecord JobRunner::create(v1::CreateJobRequest request, const std::string& own
     job.bytes = bytes_of_job(scene.frames(), static_cast<std::uint64_t>(coarse.vertex_count()),
                              static_cast<std::uint64_t>(fine_vertices), request.reference());
     admit_bytes(owner, named, job.bytes);
-    if (!model.topology_hash().empty() && model.topology_hash() != topology_hash(coarse)) {
-      throw Error(ErrorCode::kFailedPrecondition, "bundle " + model.model() + " was trained for another mesh (" +
-                                                      model.topology_hash() + ", the scene's is " +
-                                                      topology_hash(coarse) + ")");
-    }
+    coarse_for_network(model, coarse);
   }
   const auto [record, made] = table_.create(job);
   if (made) {

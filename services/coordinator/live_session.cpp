@@ -170,6 +170,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     if (uses_network(session.detail)) {
       session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
       session.representation = session.model.representation();
+      session.network_coarse = coarse_for_network(session.model, coarse);
     } else {
       session.model = without_model();
     }

@@ -140,7 +140,7 @@ RemoteStage<UpscaleRpc>::Options upscale_options(const ServiceAddresses& address
       .stage = "superres", .service = "superres", .addresses = addresses.superres, .open = {}, .link = link};
   v1::UpscaleOpen& open = *options.open.mutable_open();
   open.set_model(session.model.model());
-  open.set_topology_hash(session.coarse.hash());
+  open.set_topology_hash(session.network_coarse.value_or(session.coarse).hash());
   open.set_displacement_only(true);
   open.set_dtype(session.conversion.dtype());
   if (session.conversion.has_constants()) *open.mutable_constants() = session.conversion.constants();
@@ -216,8 +216,10 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
     // Conversion was set up for the bundle that was described: images of another one would be read wrongly.
     add_stage<UpscaleRpc>(upscale_options(addresses, link, session), session,
                           [before = session.model](const auto& opened) { require_same_bundle(before, opened); });
+    // It knows the mesh in the bundle's place where the session has it elsewhere.
+    const std::string known = session.network_coarse ? session.conversion.fine().hash() : fine_hash;
     add_stage<ToMeshRpc>(to_mesh_options(addresses, link, session), session,
-                         [check_fine](const auto& opened) { check_fine(opened.fine().hash()); });
+                         [known](const auto& opened) { check_fine_hash(opened.fine().hash(), known); });
   }
   if (uses_fold(session.detail)) {
     add_stage<FoldRpc>(fold_options(addresses, link, session), session,

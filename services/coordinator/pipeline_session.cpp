@@ -8,13 +8,18 @@
 #include <future>
 #include <thread>
 
+#include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
+#include "common/frame/rigid_alignment.hpp"
 #include "common/mesh/mesh.hpp"
 #include "pleat/v1/conversion.grpc.pb.h"
 #include "pleat/v1/superres.grpc.pb.h"
 
 namespace pleat::coordinator {
 namespace {
+
+/// Of a mesh's extent: what is left of a rigid motion by numbers that are written with six digits.
+constexpr float kSamePlace = 1e-4F;
 
 /// Calls one of the addresses after the other until one answers, or the outage is too long.
 template <typename Response, typename Call>
@@ -51,7 +56,7 @@ std::string difference(const v1::ModelDescription& before, const v1::ModelDescri
 
 v1::ConversionSetup conversion_setup(const PipelineSession& session) {
   v1::ConversionSetup setup;
-  *setup.mutable_coarse() = session.coarse;
+  *setup.mutable_coarse() = session.network_coarse.value_or(session.coarse);
   *setup.mutable_representation() = session.representation;
   return setup;
 }
@@ -99,6 +104,28 @@ v1::ModelDescription describe_model(const ServiceAddresses& addresses, const Lin
   return model;
 }
 
+std::optional<v1::Topology> coarse_for_network(const v1::ModelDescription& model, const Topology& coarse) {
+  const std::string hash = topology_hash(coarse), &known_hash = model.topology_hash();
+  if (known_hash.empty() || known_hash == hash) return std::nullopt;
+  std::string elsewhere;
+  if (const auto& rest = model.rest_positions(); rest.size() == coarse.rest_positions.size() && !rest.empty()) {
+    Topology known = coarse;
+    known.rest_positions = Eigen::Map<const Positions>(rest.data(), coarse.vertex_count(), 3);
+    if (topology_hash(known) == known_hash) {
+      const RigidTransform motion = kabsch(coarse.rest_positions, known.rest_positions);
+      const Positions moved =
+          (coarse.rest_positions * motion.rotation.transpose()).rowwise() + motion.translation.transpose();
+      const float off = (moved - known.rest_positions).rowwise().norm().maxCoeff();
+      const float extent =
+          (known.rest_positions.colwise().maxCoeff() - known.rest_positions.colwise().minCoeff()).norm();
+      if (off <= kSamePlace * extent) return to_message(known);
+      elsewhere = "; at rest it has another shape, by up to " + std::to_string(off * 1e3F) + " mm";
+    }
+  }
+  throw Error(ErrorCode::kFailedPrecondition, "bundle " + model.model() + " was trained for another mesh (" +
+                                                  known_hash + ", this one is " + hash + elsewhere + ")");
+}
+
 v1::Representation representation_of(const v1::Scene& scene, v1::Detail detail, const v1::ModelDescription& model) {
   v1::Representation representation = model.representation();
   if (scene.has_subdivision_rounds()) representation.set_subdivision_rounds(scene.subdivision_rounds());
@@ -132,7 +159,13 @@ Subdivision subdivision_of(const PipelineSession& session, const Topology& coars
       std::async([&coarse, spec = subdivision_from(session.representation)] { return subdivide(coarse, spec); });
   if (meanwhile) meanwhile();
   Subdivision subdivision = made.get();
-  check_fine_hash(session.conversion.fine().hash(), topology_hash(subdivision.fine));
+  const std::string& described = session.conversion.fine().hash();
+  if (!session.network_coarse || described.empty()) {
+    check_fine_hash(described, topology_hash(subdivision.fine));
+  } else {
+    const Topology known = from_message(*session.network_coarse, "the bundle's coarse mesh");
+    check_fine_hash(described, topology_hash(subdivide(known, subdivision_from(session.representation)).fine));
+  }
   return subdivision;
 }
 

@@ -30,9 +30,10 @@ std::vector<std::string> split_addresses(const std::string& service, const std::
 /// What the stages of one session agree on.
 struct PipelineSession {
   v1::Topology coarse;
-  v1::Detail detail = v1::DETAIL_NETWORK;  ///< checked
-  v1::FoldOpen fold;                       ///< for the fold step; mesh, obstacles, clearance and window go in from here
-  std::size_t fold_turn = 0;               ///< which of several fold services is asked first
+  std::optional<v1::Topology> network_coarse;  ///< coarse_for_network(): what conversion and the network are told
+  v1::Detail detail = v1::DETAIL_NETWORK;      ///< checked
+  v1::FoldOpen fold;          ///< for the fold step; mesh, obstacles, clearance and window go in from here
+  std::size_t fold_turn = 0;  ///< which of several fold services is asked first
   std::shared_ptr<const FoldMemory> fold_memory;  ///< of the frame before first_sequence, where there is one
   v1::ModelDescription model;                     ///< empty without a network
   v1::Representation representation;  ///< of the model, or with another subdivision that was asked for; without a
@@ -56,6 +57,12 @@ std::int64_t admit(std::int64_t coarse_vertices, int rounds, std::int64_t max_ve
 /// service's default. `cancelled` is asked between attempts. Errors: kNotFound, kUnavailable (naming the address), ...
 v1::ModelDescription describe_model(const ServiceAddresses& addresses, const LinkOptions& link, const std::string& name,
                                     const std::function<bool()>& cancelled);
+
+/// The coarse mesh in the place and direction in which the bundle knows it, for a mesh that was only moved or turned:
+/// rest positions are what conversion aligns frames to, and nothing else, so that the frames stay as they are. Nothing
+/// where it is the bundle's own mesh, or the bundle serves any. Throws kFailedPrecondition, with both hashes, for
+/// another mesh.
+std::optional<v1::Topology> coarse_for_network(const v1::ModelDescription& model, const Topology& coarse);
 
 /// What a job's frames are for the network, or without one how its fine mesh comes from the coarse one: as the bundle
 /// says, unless the scene does; the coarse mesh itself with DETAIL_COARSE.

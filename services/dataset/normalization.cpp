@@ -5,7 +5,7 @@
 
 #include "common/base/error.hpp"
 #include "common/features/frame_features.hpp"
-#include "services/conversion/rigid_alignment.hpp"
+#include "common/frame/rigid_alignment.hpp"
 
 namespace pleat::dataset {
 
@@ -27,7 +27,7 @@ ChannelRanges measure_range(const DatasetReader& reader, double margin) {
       fine.positions = std::move(reader.fine(sequence.name, k, k + 1).front());
       coarse.velocities = backward_velocities(coarse.positions, last_coarse, frame_time);
       fine.velocities = backward_velocities(fine.positions, last_fine, frame_time);
-      const RigidTransform alignment = conversion::kabsch(coarse.positions, meshes.coarse.rest_positions);
+      const RigidTransform alignment = kabsch(coarse.positions, meshes.coarse.rest_positions);
       frame_features(coarse, meshes.coarse, alignment, scratch, features);
       measure.add(features);
       frame_features(fine, meshes.fine, alignment, scratch, features);

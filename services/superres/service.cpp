@@ -98,7 +98,10 @@ void SuperResolutionService::describe(const std::string& name, const Metadata& m
   message->set_constant_channels(static_cast<std::uint32_t>(metadata.constants));
   message->set_topology_hash(metadata.topology_hash);
   message->set_git_revision(metadata.git_revision);
-  message->set_metadata_json(to_json(metadata));
+  message->mutable_rest_positions()->Assign(metadata.rest_positions.begin(), metadata.rest_positions.end());
+  Metadata text = metadata;
+  text.rest_positions.clear();
+  message->set_metadata_json(to_json(text));
   const std::lock_guard lock(mutex_);
   if (const auto it = loaded_.find(name); it != loaded_.end()) {
     const EngineStatus status = it->second.batcher->engine().status();

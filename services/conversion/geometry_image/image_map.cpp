@@ -10,9 +10,9 @@
 #include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 #include "common/base/pool.hpp"
+#include "common/frame/rigid_alignment.hpp"
 #include "services/conversion/geometry_image/chart_raster.hpp"
 #include "services/conversion/geometry_image/texel_fit.hpp"
-#include "services/conversion/rigid_alignment.hpp"
 
 namespace pleat::conversion {
 namespace {

@@ -144,6 +144,7 @@ void read_representation(const Object& object, Metadata& m) {
 
 void forget_mesh(Metadata& metadata) {
   metadata.topology_hash.clear();
+  metadata.rest_positions.clear();
   auto& image = std::get<conversion::GeometryImageSpec>(metadata.representation.kind).image;
   image.coarse_width = image.coarse_height = 0;
 }
@@ -173,6 +174,7 @@ std::string to_json(const Metadata& metadata) {
   document["representation"] = document_of(metadata);
   document["constants"] = metadata.constants;
   document["topology_hash"] = metadata.topology_hash;
+  if (!metadata.rest_positions.empty()) document["rest_positions"] = metadata.rest_positions;
   document["velocity"] = metadata.velocity;
   document["float32_parameters"] = metadata.float32_parameters;
   document["training"] = json::parse(metadata.training);
@@ -213,6 +215,10 @@ Metadata metadata_from_json(const std::string& text, const std::string& source) 
     }
   }
   m.topology_hash = document.get<std::string>("topology_hash");
+  m.rest_positions = document.get<std::vector<float>>("rest_positions", {});
+  if (m.rest_positions.size() % 3 != 0) {
+    throw_invalid_argument(source + ": pleat.json: rest_positions are not three a vertex");
+  }
   m.velocity = document.get<std::string>("velocity");
   if (m.velocity != "backward") {
     throw_invalid_argument(source + ": pleat.json: velocity must be 'backward', is '" + m.velocity + "'");

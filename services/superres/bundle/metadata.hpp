@@ -22,7 +22,9 @@ struct Metadata {
   ChannelRanges input, output;                    ///< of the channels of one frame, and of an answer; not empty
   int constants = 0;                              ///< channels of what the network reads beside the frames
   std::string topology_hash;                      ///< of the coarse mesh; empty: serves any mesh and any size of image
-  std::string velocity = "backward";              ///< v_k = (x_k - x_{k-1}) / frame time
+  /// (V x 3) rest positions of that mesh, by which one that was only moved or turned is known again; may be empty.
+  std::vector<float> rest_positions;
+  std::string velocity = "backward";  ///< v_k = (x_k - x_{k-1}) / frame time
   /// Parameters whose names begin with one of these stay float32 when the rest is turned into bfloat16. Empty: the
   /// module takes no bfloat16.
   std::vector<std::string> float32_parameters;

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/mesh/garment.hpp"
 #include "services/superres/bundle/bundle.hpp"
 #include "services/superres/networks/network.hpp"
 
@@ -100,6 +101,19 @@ void re_export(const std::string& old_path, const std::string& path) {
   metadata.parameters = network.parameter_count();
   metadata.float32_parameters = network.float32_parameters();
   save_bundle(network.to_script(), metadata, path);
+}
+
+void add_rest_mesh(const std::string& bundle_path, const std::string& garment, const std::string& path) {
+  Metadata metadata;
+  const torch::jit::Module module = load_bundle(bundle_path, metadata);
+  std::vector<std::string> notes;
+  const Topology mesh = read_garment(garment, notes);
+  if (topology_hash(mesh) != metadata.topology_hash) {
+    throw_invalid_argument(bundle_path + ": was trained for the mesh " + metadata.topology_hash + ", " + garment +
+                           " is " + topology_hash(mesh));
+  }
+  metadata.rest_positions.assign(mesh.rest_positions.data(), mesh.rest_positions.data() + mesh.rest_positions.size());
+  save_bundle(module, metadata, path);
 }
 
 }  // namespace pleat::superres

@@ -12,4 +12,8 @@ namespace pleat::superres {
 /// are no such bundle; kDataLoss for unreadable ones.
 void re_export(const std::string& old_path, const std::string& path);
 
+/// Writes the bundle at `bundle_path` to `path` with the rest positions of its coarse mesh, which is in the file
+/// `garment`. Throws kInvalidArgument if it was trained for another mesh; the rest as load_bundle and read_garment.
+void add_rest_mesh(const std::string& bundle_path, const std::string& garment, const std::string& path);
+
 }  // namespace pleat::superres

@@ -160,8 +160,11 @@ class Loader {
     data.constants = representation_->constants();
     data.answer_mask = representation_->answer_mask();
     data.frame_time_s = master().frame_time_s;
-    data.topology_hash = topology_hash(master().topology.coarse);
-    data.sheet_axes = flat_sheet_axes(master().topology.coarse);
+    const Topology& coarse = master().topology.coarse;
+    data.topology_hash = topology_hash(coarse);
+    data.rest_positions.assign(coarse.rest_positions.data(),
+                               coarse.rest_positions.data() + coarse.rest_positions.size());
+    data.sheet_axes = flat_sheet_axes(coarse);
     const auto input = representation_->input_shape(), answer = representation_->answer_shape();
     key_.input_channels = static_cast<int>(input[0]) * config_.window;
     key_.answer_channels = static_cast<int>(answer[0]);

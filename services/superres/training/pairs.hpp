@@ -111,6 +111,7 @@ struct PairData {
   Tensor constants;                                          ///< (K, h, w), or without a shape
   double frame_time_s = 0;
   std::string topology_hash;                ///< of the coarse mesh
+  std::vector<float> rest_positions;        ///< (V x 3) of the coarse mesh
   std::string description = "{}";           ///< JSON about the data set, for the bundle
   MeshRead mesh_read;                       ///< for losses on vertices, else empty
   std::shared_ptr<FrameGeometry> geometry;  ///< the same; null: the alignment's axes, and the rest positions

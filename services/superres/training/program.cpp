@@ -46,14 +46,19 @@ TrainHooks hooks_of(const TrainArguments& arguments) {
 }  // namespace
 
 void run_training(const TrainArguments& arguments) {
-  if (arguments.any_mesh.empty() != arguments.mesh.empty()) {
-    throw_invalid_argument("--any-mesh OLD.pt and --mesh COARSE.obj go together");
+  if (!arguments.re_export.empty() && !arguments.any_mesh.empty()) {
+    throw_invalid_argument("--re-export and --any-mesh don't go together");
   }
-  if ((arguments.re_export.empty() && arguments.any_mesh.empty()) != arguments.out.empty()) {
+  const bool rewrites = !arguments.re_export.empty() || !arguments.any_mesh.empty();
+  if (rewrites == arguments.out.empty()) {
     throw_invalid_argument("--re-export or --any-mesh OLD.pt and --out NEW.pt go together");
   }
-  if (!arguments.re_export.empty()) return re_export(arguments.re_export, arguments.out);
-  if (!arguments.any_mesh.empty()) return serve_any_mesh(arguments.any_mesh, arguments.mesh, arguments.out);
+  if (rewrites ? !arguments.any_mesh.empty() && arguments.garment.empty() : !arguments.garment.empty()) {
+    throw_invalid_argument("--garment MESH goes with --any-mesh, which needs it, and with --re-export");
+  }
+  if (!arguments.any_mesh.empty()) return serve_any_mesh(arguments.any_mesh, arguments.garment, arguments.out);
+  if (!arguments.garment.empty()) return add_rest_mesh(arguments.re_export, arguments.garment, arguments.out);
+  if (rewrites) return re_export(arguments.re_export, arguments.out);
   if (arguments.config.empty()) throw_invalid_argument("no configuration; see pleat-train --help");
   const TrainConfig config = read_train_config(arguments.config, arguments.changes);
   TrainHooks hooks = hooks_of(arguments);

@@ -9,7 +9,8 @@ namespace pleat::superres {
 
 struct TrainArguments {
   std::string re_export, out;  ///< a bundle of an earlier version, and where to write it anew, instead of training
-  std::string any_mesh, mesh;  ///< a bundle and its coarse mesh; written to `out` so that it serves any mesh
+  std::string any_mesh;        ///< a bundle of one mesh, written to `out` so that it serves any
+  std::string garment;         ///< with these: the file of its coarse mesh
   std::string config;
   std::vector<std::string> changes;  ///< KEY=VALUE
   int processes = 1;

@@ -502,6 +502,7 @@ class Trainer {
     m.input = data_.input_ranges, m.output = data_.output_ranges;
     m.constants = data_.constant_channels();
     m.topology_hash = data_.topology_hash;
+    m.rest_positions = data_.rest_positions;
     if (config_.serves == "any") forget_mesh(m);
     m.float32_parameters = averaged_.float32_parameters();
     json training = json::parse(data_.description);

@@ -4,9 +4,9 @@
 #include <limits>
 
 #include "common/base/error.hpp"
+#include "common/frame/rigid_alignment.hpp"
 #include "services/conversion/geometry_image/chart_raster.hpp"
 #include "services/conversion/geometry_image/image_map.hpp"
-#include "services/conversion/rigid_alignment.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
 namespace pleat::conversion {

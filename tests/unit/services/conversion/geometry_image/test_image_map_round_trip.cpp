@@ -2,8 +2,8 @@
 #include <gtest/gtest.h>
 
 #include "common/features/channels.hpp"
+#include "common/frame/rigid_alignment.hpp"
 #include "services/conversion/geometry_image/image_map.hpp"
-#include "services/conversion/rigid_alignment.hpp"
 #include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
 namespace pleat::conversion {

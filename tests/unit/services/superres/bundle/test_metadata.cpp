@@ -29,6 +29,7 @@ Metadata example() {
   m.output = {{0, 0, 0}, {0.1F, 0.2F, 0.3F}, 0};
   m.constants = 8;
   m.topology_hash = "0123456789abcdef";
+  m.rest_positions = {0.1F, 0, -2, 1e-7F, 3, 1};
   m.float32_parameters = {"shallow0_"};
   m.training = R"({"epoch":7})";
   m.metrics = {{"psnr_db", 71.5}};

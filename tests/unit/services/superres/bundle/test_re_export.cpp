@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/whole_file.hpp"
+#include "common/mesh/garment.hpp"
 #include "services/superres/bundle/bundle.hpp"
 #include "services/superres/networks/network.hpp"
 #include "tests/support/errors.hpp"
@@ -103,6 +104,27 @@ TEST_F(ReExport, PublishedKeepsItsRanges) {
   EXPECT_EQ(m.output.offset[8], -1);
   EXPECT_EQ(m.output.scale[8], 4);
   EXPECT_EQ(m.constants, 0);
+}
+
+TEST_F(ReExport, ABundleGetsTheRestPositionsOfItsMesh) {
+  const std::string garment = "deploy/garments/tablecloth.obj", out = (temporary_.path() / "with.pt").string();
+  std::vector<std::string> notes;
+  const Topology mesh = read_garment(garment, notes);
+  write_old(json::object(), kInputs, kOldOutputs);
+  re_export(old_, new_);
+  Metadata m;
+  auto module = load_bundle(new_, m);
+  EXPECT_THAT(error_of([&] { add_rest_mesh(new_, garment, out); }).what(), HasSubstr(topology_hash(mesh)));
+  m.topology_hash = topology_hash(mesh);
+  save_bundle(module, m, new_);
+  add_rest_mesh(new_, garment, out);
+  Metadata with;
+  auto again = load_bundle(out, with);
+  const auto& rest = mesh.rest_positions;
+  EXPECT_EQ(with.rest_positions, std::vector<float>(rest.data(), rest.data() + rest.size()));
+  with.rest_positions.clear();
+  EXPECT_EQ(to_json(with), to_json(m));
+  EXPECT_EQ(values_of(again), values_of(module));
 }
 
 TEST_F(ReExport, OthersHaveToBeTrainedAgain) {

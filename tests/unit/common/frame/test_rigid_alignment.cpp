@@ -1,13 +1,14 @@
-#include "services/conversion/rigid_alignment.hpp"
+#include "common/frame/rigid_alignment.hpp"
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Geometry>
 #include <limits>
+#include <random>
 
 #include "common/base/error.hpp"
-#include "tests/unit/services/conversion/wrinkled_cloth.hpp"
 
-namespace pleat::conversion {
+namespace pleat {
 namespace {
 
 Positions random_cloud(Eigen::Index count, unsigned seed) {
@@ -16,26 +17,37 @@ Positions random_cloud(Eigen::Index count, unsigned seed) {
   return Positions::NullaryExpr(count, 3, [&](Eigen::Index, Eigen::Index) { return uniform(random); });
 }
 
+RigidTransform some_motion() {
+  RigidTransform motion;
+  motion.rotation = Eigen::AngleAxisf(1.1f, Eigen::Vector3f(0.3f, -0.5f, 0.8f).normalized()).toRotationMatrix();
+  motion.translation = {0.4f, 1.3f, -0.7f};
+  return motion;
+}
+
+Positions moved(const Positions& positions, const RigidTransform& motion) {
+  return (positions * motion.rotation.transpose()).rowwise() + motion.translation.transpose();
+}
+
 void expect_rotation(const RigidTransform& t) {
   EXPECT_LT((t.rotation * t.rotation.transpose() - Eigen::Matrix3f::Identity()).norm(), 1e-5f);
   EXPECT_NEAR(t.rotation.determinant(), 1, 1e-5);
 }
 
 double residual(const Positions& positions, const RigidTransform& t, const Positions& rest) {
-  return static_cast<double>((test::moved(positions, t) - rest).squaredNorm());
+  return static_cast<double>((moved(positions, t) - rest).squaredNorm());
 }
 
 TEST(Kabsch, UndoesARigidMotion) {
   const Positions rest = random_cloud(50, 1);
-  const RigidTransform t = kabsch(test::moved(rest, test::some_motion()), rest);
+  const RigidTransform t = kabsch(moved(rest, some_motion()), rest);
   expect_rotation(t);
-  EXPECT_LT((t.rotation - test::some_motion().rotation.transpose()).norm(), 1e-5f);
-  EXPECT_LT(residual(test::moved(rest, test::some_motion()), t, rest), 1e-9);
+  EXPECT_LT((t.rotation - some_motion().rotation.transpose()).norm(), 1e-5f);
+  EXPECT_LT(residual(moved(rest, some_motion()), t, rest), 1e-9);
 }
 
 TEST(Kabsch, BeatsEveryPerturbedRotation) {
   const Positions rest = random_cloud(40, 3);
-  const Positions cloud = test::moved(rest + 0.3f * random_cloud(40, 4), test::some_motion());
+  const Positions cloud = moved(rest + 0.3f * random_cloud(40, 4), some_motion());
   const RigidTransform best = kabsch(cloud, rest);
   expect_rotation(best);
   std::mt19937 random(5);
@@ -61,7 +73,7 @@ TEST(Kabsch, AReflectionIsNeverUsed) {
 TEST(Kabsch, FlatCloudsAreDetermined) {
   Positions rest = random_cloud(30, 7);
   rest.col(1).setZero();
-  const Positions cloud = test::moved(rest, test::some_motion());
+  const Positions cloud = moved(rest, some_motion());
   const RigidTransform t = kabsch(cloud, rest);
   expect_rotation(t);
   EXPECT_LT(residual(cloud, t, rest), 1e-9);
@@ -111,4 +123,4 @@ TEST(Kabsch, BadInputIsRefused) {
 }
 
 }  // namespace
-}  // namespace pleat::conversion
+}  // namespace pleat

@@ -3,7 +3,7 @@
 
 #include "common/frame/frame.hpp"
 
-namespace pleat::conversion {
+namespace pleat {
 
 /// The rotation (determinant +1, never a reflection) and translation that minimise sum |R x_i + t - x0_i|^2.
 /// Where the clouds do not determine the rotation, the one nearest to the identity is chosen: collinear clouds get the
@@ -11,4 +11,4 @@ namespace pleat::conversion {
 /// positions, rest: (V x 3), V >= 1. Throws kInvalidArgument for different sizes or values that are not finite.
 RigidTransform kabsch(const Positions& positions, const Positions& rest);
 
-}  // namespace pleat::conversion
+}  // namespace pleat

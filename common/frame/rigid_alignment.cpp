@@ -1,4 +1,4 @@
-#include "services/conversion/rigid_alignment.hpp"
+#include "common/frame/rigid_alignment.hpp"
 
 #include <Eigen/Geometry>
 #include <Eigen/SVD>
@@ -6,7 +6,7 @@
 #include "common/base/checks.hpp"
 #include "common/base/error.hpp"
 
-namespace pleat::conversion {
+namespace pleat {
 namespace {
 
 // Below this ratio of singular values a cloud counts as a line: float positions carry about 1e-7 of their extent.
@@ -59,4 +59,4 @@ RigidTransform kabsch(const Positions& positions, const Positions& rest) {
   return transform;
 }
 
-}  // namespace pleat::conversion
+}  // namespace pleat
