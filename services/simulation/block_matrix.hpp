@@ -1,6 +1,7 @@
 // Symmetric sparse matrix of 3x3 blocks with a fixed pattern, and the conjugate gradients on it.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <utility>
@@ -8,6 +9,7 @@
 
 #include "common/base/parallel.hpp"
 #include "common/base/simd.hpp"
+#include "common/mesh/connectivity.hpp"
 
 namespace pleat::simulation {
 
@@ -34,6 +36,13 @@ class BlockMatrix {
   std::uint32_t row_begin(std::size_t i) const { return offsets_[i]; }
   std::uint32_t row_end(std::size_t i) const { return offsets_[i + 1]; }
   std::uint32_t column(std::uint32_t slot) const { return columns_[slot]; }
+
+  /// The off-diagonal block (i, j), kNone if the pattern has none. O(log of the row).
+  std::uint32_t find(std::uint32_t i, std::uint32_t j) const {
+    const auto begin = columns_.begin() + offsets_[i], end = columns_.begin() + offsets_[i + 1];
+    const auto found = std::lower_bound(begin, end, j);
+    return found != end && *found == j ? static_cast<std::uint32_t>(found - columns_.begin()) : kNone;
+  }
 
   /// Row i of A x.
   Float4 multiply_row(std::size_t i, const Float4* x) const {

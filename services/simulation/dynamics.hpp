@@ -107,6 +107,9 @@ class Dynamics {
   void build_pattern();
   void assemble(const Points& positions, const Points& velocities, const Step& step, ThreadPool& pool);
   int conjugate_gradients(const Step& step, ThreadPool& pool);
+  int swept_conjugate_gradients(const Step& step);
+  bool add_to_matrix(const ContactForce& contact, float step_s);
+  double add_contacts(const Step& step, std::span<const Float4> y, std::span<Float4> product) const;
   void correct_translation(const Step& step);
   void add_averages(const Step& step, ThreadPool& pool);
 
@@ -146,9 +149,10 @@ class Dynamics {
   // Per step.
   std::vector<Double4> positions_, velocities_;  // copies in registers' layout
   std::vector<float> face_records_, hinge_records_;
-  std::vector<ContactForce> contacts_;  // the step's, with places for vertices
-  std::vector<float> inverse_diagonal_;
-  std::vector<Float4> right_side_, change_, residual_, direction_, product_, preconditioned_;
+  std::vector<ContactForce> contacts_;                    // the step's, with places for vertices
+  std::vector<ContactForce> outside_;                     // those of them that the matrix has no blocks for
+  std::vector<float> whole_diagonal_, inverse_diagonal_;  // blocks of the matrix and the contacts
+  std::vector<Float4> right_side_, change_, residual_, direction_, product_, preconditioned_, solved_;
   std::vector<char> fixed_;
   std::vector<float> reference_angles_;
   double assembly_ms_ = 0, solve_ms_ = 0;
