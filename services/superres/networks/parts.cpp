@@ -1,5 +1,7 @@
 #include "services/superres/networks/parts.hpp"
 
+#include <vector>
+
 namespace pleat::superres {
 
 int add_residual_blocks(Description& network, int features, int count) {
@@ -11,6 +13,21 @@ int add_residual_blocks(Description& network, int features, int count) {
     features = network.add({.name = block + "_second", .inputs = {inner}, .channels = channels, .add = features});
   }
   return features;
+}
+
+int add_dense_block(Description& network, const std::string& name, int features, int layers, int growth) {
+  std::vector<int> dense{features};
+  for (int c = 0; c < layers; ++c) {
+    dense.push_back(network.add({.name = name + "_dense" + std::to_string(c),
+                                 .inputs = dense,
+                                 .channels = growth,
+                                 .activation = Activation::kRelu}));
+  }
+  return network.add({.name = name + "_fusion",
+                      .inputs = dense,
+                      .channels = network.channels(features),
+                      .kernel = 1,
+                      .add = features});
 }
 
 std::string read_upsampling(Options& options) {

@@ -9,6 +9,7 @@
 #include "services/superres/networks/options.hpp"
 #include "services/superres/networks/srresnet/srresnet.hpp"
 #include "services/superres/networks/tokens/tokens.hpp"
+#include "services/superres/networks/unet/unet.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -20,7 +21,8 @@ struct NetworkKind {
 constexpr NetworkKind kKinds[] = {{"mfsr", describe_mfsr},
                                   {"srresnet", describe_srresnet},
                                   {"chen2018", describe_chen2018},
-                                  {"tokens", describe_tokens}};
+                                  {"tokens", describe_tokens},
+                                  {"unet", describe_unet}};
 
 const NetworkKind* find(const std::string& name) {
   const auto* found = std::find_if(std::begin(kKinds), std::end(kKinds), [&](const auto& k) { return name == k.name; });

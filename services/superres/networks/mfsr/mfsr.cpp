@@ -14,16 +14,7 @@ Description describe_mfsr(Options& options, const Ports& ports) {
   int features = network.add({.name = "shallow1", .inputs = {shallow}, .channels = width, .exact = true});
   std::vector<int> hierarchy;
   for (int d = 0; d < blocks; ++d) {
-    const std::string block = "block" + std::to_string(d);
-    std::vector<int> dense{features};
-    for (int c = 0; c < layers; ++c) {
-      dense.push_back(network.add({.name = block + "_dense" + std::to_string(c),
-                                   .inputs = dense,
-                                   .channels = growth,
-                                   .activation = Activation::kRelu}));
-    }
-    features =
-        network.add({.name = block + "_fusion", .inputs = dense, .channels = width, .kernel = 1, .add = features});
+    features = add_dense_block(network, "block" + std::to_string(d), features, layers, growth);
     hierarchy.push_back(features);
   }
   features = network.add({.name = "global0", .inputs = hierarchy, .channels = width, .kernel = 1});

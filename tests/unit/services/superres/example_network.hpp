@@ -27,6 +27,12 @@ inline Description small_tokens(const std::string& modules = "") {
                   {7, 3, 4, false, 3});
 }
 
+inline Description small_unet(const std::string& upsampling) {
+  return describe(
+      {"unet", R"({"levels": 2, "layers": 2, "growth": 4, "features": 6, "upsampling": ")" + upsampling + "\"}"},
+      {7, 3, 4, false});
+}
+
 /// Every kind of layer of images: the same value read with and without others, at three sizes.
 inline Description several_scales() {
   Description network(5);

@@ -69,7 +69,8 @@ TEST_P(ExecutorVariants, AgreesWithTheNetwork) {
 
 INSTANTIATE_TEST_SUITE_P(All, ExecutorVariants,
                          testing::Values(small_mfsr("subpixel"), small_mfsr("bilinear"), small_srresnet("subpixel"),
-                                         small_srresnet("bilinear"), several_scales(),
+                                         small_srresnet("bilinear"), small_unet("subpixel"), small_unet("bilinear"),
+                                         several_scales(),
                                          describe({"chen2018", R"({"blocks": 2, "features": 6})"}, {3, 3, 4, false}),
                                          describe({"mfsr", R"({"blocks": 1, "layers": 1, "growth": 40,
                                                                "features": 70})"},

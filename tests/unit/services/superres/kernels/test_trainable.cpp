@@ -61,7 +61,7 @@ TEST_P(TrainableVariants, HasTheGradientsOfLibTorch) {
 INSTANTIATE_TEST_SUITE_P(
     All, TrainableVariants,
     testing::Values(small_mfsr("subpixel"), small_mfsr("bilinear"), small_srresnet("subpixel"),
-                    small_srresnet("bilinear"), several_scales(),
+                    small_srresnet("bilinear"), small_unet("subpixel"), small_unet("bilinear"), several_scales(),
                     describe({"mfsr", R"({"blocks": 1, "layers": 1, "growth": 40, "features": 20})"}, {5, 3, 4, false}),
                     describe({"mfsr", R"({"blocks": 3, "layers": 2, "growth": 16, "features": 32,
                                                                "upsampling": "subpixel"})"},

@@ -48,17 +48,28 @@ class Plain {
     Image features = convolve(shallow, "shallow1", 3);
     std::vector<Image> blocks;
     for (int d = 0; d < kBlocks; ++d) {
-      const std::string block = "block" + std::to_string(d);
-      Image stack = features;
-      for (int c = 0; c < kLayers; ++c) {
-        Image layer = convolve(stack, block + "_dense" + std::to_string(c), 3);
-        for (double& v : layer.values) v = std::max(v, 0.0);
-        stack = join({stack, layer});
-      }
-      features = add(convolve(stack, block + "_fusion", 1), features);
+      features = dense_block(features, "block" + std::to_string(d), kLayers);
       blocks.push_back(features);
     }
     return heads(add(convolve(convolve(join(blocks), "global0", 1), "global1", 3), shallow), subpixel);
+  }
+
+  Image unet(const Image& x, bool subpixel) const {
+    const Image shallow = convolve(x, "shallow0", 3);
+    Image features = convolve(shallow, "shallow1", 3);
+    std::vector<Image> down;
+    for (int level = 0; level < 2; ++level) {
+      down.push_back(dense_block(features, "down" + std::to_string(level) + "_0", 2));
+      features = halved(down.back());
+    }
+    features = dense_block(features, "down2_0", 2);
+    for (int level = 1; level >= 0; --level) {
+      const Image& beside = down[static_cast<std::size_t>(level)];
+      const Image enlarged = resized(features, beside.height, beside.width);
+      const Image joined = convolve(join({beside, enlarged}), "join" + std::to_string(level), 1);
+      features = dense_block(add(joined, beside), "up" + std::to_string(level) + "_0", 2);
+    }
+    return heads(add(convolve(features, "global1", 3), shallow), subpixel);
   }
 
   Image srresnet(const Image& x, bool subpixel) const {
@@ -88,6 +99,32 @@ class Plain {
  private:
   static constexpr int kBlocks = 2, kLayers = 3;
   static constexpr int kFrames = 3, kHeads = 2;
+
+  Image dense_block(const Image& features, const std::string& name, int layers) const {
+    Image stack = features;
+    for (int c = 0; c < layers; ++c) {
+      stack = join({stack, rectified(convolve(stack, name + "_dense" + std::to_string(c), 3))});
+    }
+    return add(convolve(stack, name + "_fusion", 1), features);
+  }
+
+  /// Means over 2 x 2; at an odd end over what there is.
+  static Image halved(const Image& x) {
+    Image out(x.channels, (x.height + 1) / 2, (x.width + 1) / 2);
+    for (int c = 0; c < x.channels; ++c) {
+      for (int y = 0; y < out.height; ++y) {
+        for (int column = 0; column < out.width; ++column) {
+          double sum = 0;
+          int count = 0;
+          for (int yy = 2 * y; yy < std::min(2 * y + 2, x.height); ++yy) {
+            for (int xx = 2 * column; xx < std::min(2 * column + 2, x.width); ++xx, ++count) sum += x.at(c, yy, xx);
+          }
+          out.at(c, y, column) = sum / count;
+        }
+      }
+    }
+    return out;
+  }
 
   static Image rectified(Image x) {
     for (double& v : x.values) v = std::max(v, 0.0);
@@ -204,22 +241,23 @@ class Plain {
     return a;
   }
 
-  /// Fine texel centre i lies at coarse coordinate (i + 0.5) / 4 - 0.5; values beyond the outermost centres repeat
-  /// them.
-  static Image upsample(const Image& x) {
-    Image out(x.channels, 4 * x.height, 4 * x.width);
-    const auto place = [](int i, int size, int& low, int& high, double& t) {
-      const double position = std::max(0.0, (i + 0.5) / 4 - 0.5);
+  static Image upsample(const Image& x) { return resized(x, 4 * x.height, 4 * x.width); }
+
+  /// Texel centres lie at (i + 0.5) / size; values beyond the outermost centres repeat them.
+  static Image resized(const Image& x, int height, int width) {
+    Image out(x.channels, height, width);
+    const auto place = [](int i, int from, int to, int& low, int& high, double& t) {
+      const double position = std::max(0.0, (i + 0.5) * from / to - 0.5);
       low = static_cast<int>(position);
-      high = std::min(low + 1, size - 1);
+      high = std::min(low + 1, from - 1);
       t = position - low;
     };
     for (int y = 0; y < out.height; ++y) {
       for (int column = 0; column < out.width; ++column) {
         int y0, y1, x0, x1;
         double ty, tx;
-        place(y, x.height, y0, y1, ty);
-        place(column, x.width, x0, x1, tx);
+        place(y, x.height, height, y0, y1, ty);
+        place(column, x.width, width, x0, x1, tx);
         for (int c = 0; c < x.channels; ++c) {
           out.at(c, y, column) = (1 - ty) * ((1 - tx) * x.at(c, y0, x0) + tx * x.at(c, y0, x1)) +
                                  ty * ((1 - tx) * x.at(c, y1, x0) + tx * x.at(c, y1, x1));
@@ -286,6 +324,10 @@ TEST(Network, AgreesWithPlainLoops) {
     EXPECT_LT(difference(from_tensor(mfsr.forward(x)), Plain(mfsr).mfsr(image, subpixel)), 1e-5) << upsampling;
     EXPECT_LT(difference(from_tensor(srresnet.forward(x)), Plain(srresnet).srresnet(image, subpixel)), 1e-5)
         << upsampling;
+  }
+  for (const bool subpixel : {false, true}) {
+    const Network unet = make_network(small_unet(subpixel ? "subpixel" : "bilinear"));
+    EXPECT_LT(difference(from_tensor(unet.forward(x)), Plain(unet).unet(image, subpixel)), 1e-5) << subpixel;
   }
   const Network chen = make_network(describe({"chen2018", R"({"blocks": 2, "features": 6})"}, {7, 3, 4, false}));
   EXPECT_LT(difference(from_tensor(chen.forward(x)), Plain(chen).chen2018(image)), 1e-5);
@@ -363,7 +405,8 @@ TEST_P(NetworkVariants, EveryParameterGetsAGradient) {
 
 INSTANTIATE_TEST_SUITE_P(All, NetworkVariants,
                          testing::Values(small_mfsr("subpixel"), small_mfsr("bilinear"), small_srresnet("subpixel"),
-                                         small_srresnet("bilinear"), several_scales(),
+                                         small_srresnet("bilinear"), small_unet("subpixel"), small_unet("bilinear"),
+                                         several_scales(),
                                          describe({"chen2018", R"({"blocks": 2, "features": 6})"}, {3, 3, 4, false})));
 
 TEST(Network, PublishedSizesHaveTheExpectedNumberOfParameters) {
