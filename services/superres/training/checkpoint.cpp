@@ -111,8 +111,8 @@ void load_checkpoint(const std::string& path, const std::string& config_json, Ne
     state.step = document.at("step").get<int>();
     state.minutes = document.at("minutes").get<double>();
     const auto sums = document.at("sums").get<std::vector<double>>();
-    // Those from before the losses on vertices hold five.
-    if (sums.size() != std::size(state.sums) && sums.size() != 5)
+    // Those from before the losses on vertices hold five, those from before that on wrinkles eight.
+    if (sums.size() != std::size(state.sums) && sums.size() != 5 && sums.size() != 8)
       throw_data_loss(path + ": check-point: wrong number of sums");
     std::copy(sums.begin(), sums.end(), std::begin(state.sums));
     state.best_score = document.at("best_score").get<double>();

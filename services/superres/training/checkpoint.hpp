@@ -8,7 +8,7 @@
 
 namespace pleat::superres {
 
-inline constexpr int kLossParts = 8;
+inline constexpr int kLossParts = 9;
 
 /// Everything beside tensors that a training needs to go on exactly.
 struct TrainState {

@@ -51,6 +51,7 @@ void visit(Visitor& v, Config& c) {
     v.range("vertices", c.losses.vertices, 0, 1e6);
     v.range("vertex_normals", c.losses.vertex_normals, 0, 1e6);
     v.range("edges", c.losses.edges, 0, 1e6);
+    v.range("wrinkles", c.losses.wrinkles, 0, 1e6);
     v.range("frames", c.losses.frames, 1, 16);
     v.choice("target", c.losses.target, {"synthesized", "ground_truth"});
     v.choice("alignment", c.losses.alignment, {"exact", "shared"});
@@ -257,7 +258,8 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
     throw_invalid_argument(source + ": key 'representation' = 'vertex_features' needs 'patch' = 0 and no 'mirror'");
   }
   if (config.losses.needs_vertices() && config.patch != 0) {
-    throw_invalid_argument(source + ": keys 'losses.vertices', '.vertex_normals' and '.edges' need whole images, " +
+    throw_invalid_argument(source +
+                           ": keys 'losses.vertices', '.vertex_normals', '.edges' and '.wrinkles' need whole images, " +
                            "'patch' = 0");
   }
   if (config.every_frames > 1 && config.losses.kinematic > 0) {

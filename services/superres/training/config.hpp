@@ -35,13 +35,15 @@ struct LossConfig {
   int frames = 3;                                                               ///< n of eq. 5
   /// Weights of the losses on the fine mesh that is read from the image: positions, normals, lengths of edges.
   double vertices = 0, vertex_normals = 0, edges = 0;
+  double wrinkles = 0;                 ///< of the one on the amount of wrinkling by scale, wherever the folds lie
   std::string target = "synthesized";  ///< d_k of eq. 5: "synthesized" (the paper) or "ground_truth" (its supplement)
   std::string alignment = "exact";     ///< "exact": each frame's own rigid alignment; "shared": the first one's, eq. 5
   /// "none": mean squares in normalised units, as published; "deviation": each channel is divided by the deviation of
   /// what the bilinearly upsampled coarse image lacks, so that the weights compare like with like.
   std::string scaling = "none";
 
-  bool needs_vertices() const { return vertices > 0 || vertex_normals > 0 || edges > 0; }
+  bool needs_normals() const { return vertex_normals > 0 || wrinkles > 0; }
+  bool needs_vertices() const { return vertices > 0 || needs_normals() || edges > 0; }
 };
 
 struct OptimizerConfig {

@@ -21,16 +21,25 @@ using nlohmann::json;
 constexpr const char* kHeader =
     "epoch,steps,minutes,learning_rate,total,displacement,normal,velocity,kinematic,psnr_db,psnr_normal_db,"
     "psnr_velocity_db,vmse_m2,rmse_m,best";
-constexpr const char* kVertexColumns = ",vertices,vertex_normals,edges";  ///< not in older files
-constexpr std::size_t kColumns = 15, kAllColumns = 18;
+// Not in older files.
+constexpr const char* kVertexColumns = ",vertices,vertex_normals,edges";
+constexpr const char* kWrinkleColumn = ",wrinkles";
+constexpr std::size_t kColumns = 15, kVertexEnd = 18, kAllColumns = 19;
+
+/// How many columns a file with this first line has; 0: it is none of ours.
+std::size_t columns_of(const std::string& header) {
+  if (header == kHeader) return kColumns;
+  if (header == std::string(kHeader) + kVertexColumns) return kVertexEnd;
+  return header == std::string(kHeader) + kVertexColumns + kWrinkleColumn ? kAllColumns : 0;
+}
 
 std::string csv_row(const EpochReport& r) {
   char row[512];
   std::snprintf(row, sizeof row,
-                "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.6f,%.6f,%.17g,%.9g,%d,%.9g,%.9g,%.9g", r.epoch,
+                "%d,%lld,%.3f,%.6g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6f,%.6f,%.6f,%.17g,%.9g,%d,%.9g,%.9g,%.9g,%.9g", r.epoch,
                 static_cast<long long>(r.steps), r.minutes, r.learning_rate, r.total, r.displacement, r.normal,
                 r.velocity, r.kinematic, r.psnr_db, r.psnr_normal_db, r.psnr_velocity_db, r.vmse_m2,
-                std::sqrt(r.vmse_m2), r.best ? 1 : 0, r.vertices, r.vertex_normals, r.edges);
+                std::sqrt(r.vmse_m2), r.best ? 1 : 0, r.vertices, r.vertex_normals, r.edges, r.wrinkles);
   return row;
 }
 
@@ -49,6 +58,7 @@ std::string to_json(const EpochReport& r) {
               {"vertices", r.vertices},
               {"vertex_normals", r.vertex_normals},
               {"edges", r.edges},
+              {"wrinkles", r.wrinkles},
               {"validated", r.validated},
               {"psnr_db", r.psnr_db},
               {"psnr_normal_db", r.psnr_normal_db},
@@ -69,7 +79,7 @@ EpochReport report_from_json(const std::string& text) {
   r.psnr_normal_db = d.at("psnr_normal_db"), r.psnr_velocity_db = d.at("psnr_velocity_db");
   // Not in check-points from before these losses.
   r.vertices = d.value("vertices", 0.0), r.vertex_normals = d.value("vertex_normals", 0.0);
-  r.edges = d.value("edges", 0.0);
+  r.edges = d.value("edges", 0.0), r.wrinkles = d.value("wrinkles", 0.0);
   return r;
 }
 
@@ -78,8 +88,8 @@ std::vector<EpochReport> read_log(const std::string& path, int last_epoch) {
   std::ifstream file(path);
   std::string line;
   std::getline(file, line);
-  if (line != kHeader && line != std::string(kHeader) + kVertexColumns) return reports;
-  const std::size_t columns = line == kHeader ? kColumns : kAllColumns;
+  const std::size_t columns = columns_of(line);
+  if (columns == 0) return reports;
   while (std::getline(file, line)) {
     std::vector<double> values;
     std::istringstream row(line);
@@ -92,7 +102,8 @@ std::vector<EpochReport> read_log(const std::string& path, int last_epoch) {
     r.velocity = values[7], r.kinematic = values[8], r.psnr_db = values[9], r.psnr_normal_db = values[10];
     r.psnr_velocity_db = values[11], r.vmse_m2 = values[12], r.best = values[14] != 0;
     r.validated = r.psnr_db != 0;
-    if (columns == kAllColumns) r.vertices = values[15], r.vertex_normals = values[16], r.edges = values[17];
+    if (columns >= kVertexEnd) r.vertices = values[15], r.vertex_normals = values[16], r.edges = values[17];
+    if (columns >= kAllColumns) r.wrinkles = values[18];
     reports.push_back(r);
   }
   return reports;
@@ -100,7 +111,7 @@ std::vector<EpochReport> read_log(const std::string& path, int last_epoch) {
 
 void write_log(const std::string& path, const std::vector<EpochReport>& reports) {
   std::ostringstream rows;
-  rows << kHeader << kVertexColumns << "\n";
+  rows << kHeader << kVertexColumns << kWrinkleColumn << "\n";
   for (const EpochReport& report : reports) rows << csv_row(report) << "\n";
   write_whole_file(path, rows.str());
 }
@@ -143,7 +154,8 @@ std::string curves_page(const std::string& name, const std::vector<EpochReport>&
   }
   for (const auto& [label, color, member] : {std::tuple{"vertices", "#e69f00", &EpochReport::vertices},
                                              std::tuple{"vertex normals", "#56b4e9", &EpochReport::vertex_normals},
-                                             std::tuple{"edges", "#b8a800", &EpochReport::edges}}) {
+                                             std::tuple{"edges", "#b8a800", &EpochReport::edges},
+                                             std::tuple{"wrinkles", "#882255", &EpochReport::wrinkles}}) {
     const std::vector<double> line = values(member, false);
     if (std::any_of(line.begin(), line.end(), [](double v) { return v > 0; }))
       charts[0].lines.push_back({label, color, epochs, line});

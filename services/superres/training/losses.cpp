@@ -1,11 +1,14 @@
 #include "services/superres/training/losses.hpp"
 
+#include "common/mesh/wrinkles.hpp"
+
 namespace pleat::superres {
 namespace {
 
 using torch::indexing::Slice;
 
 constexpr double kEdgeUnit = 0.01;  ///< strain that counts 1
+constexpr double kFlat = 1e-4;      ///< energy of normals in a band
 
 /// (B, F, 3, H, W) rotated by the inverse of (B, F, 3, 3).
 torch::Tensor rotate_back(const torch::Tensor& vectors, const torch::Tensor& rotations) {
@@ -87,6 +90,21 @@ torch::Tensor edge_lengths(const torch::Tensor& positions, const torch::Tensor& 
   return length(at_corner(positions, edges, 1) - at_corner(positions, edges, 0));
 }
 
+/// (bands, N) mean over the vertices of |S^j n - S^k n|^2 for normals (N, 3, V).
+torch::Tensor wrinkle_energies(const torch::Tensor& normals, const torch::Tensor& ring_average) {
+  const std::int64_t images = normals.size(0), vertices = normals.size(2);
+  torch::Tensor smooth = normals.reshape({images * 3, vertices}).t().contiguous();
+  std::vector<torch::Tensor> bands;
+  for (std::size_t band = 0; band < kWrinkleLossBands; ++band) {
+    const torch::Tensor before = smooth;
+    for (int round = kBandRounds[band]; round < kBandRounds[band + 1]; ++round) {
+      smooth = torch::_sparse_mm(ring_average, smooth);
+    }
+    bands.push_back((before - smooth).square().sum(0).view({images, 3}).sum(1) / vertices);
+  }
+  return torch::stack(bands);
+}
+
 void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const Batch& batch,
                        const LossConstants& constants, const LossConfig& config) {
   const auto channels = Slice(0, 3);
@@ -99,12 +117,17 @@ void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const B
     losses.vertices = (error / mean_range(0, constants, config)).square().mean();
     losses.total = losses.total + config.vertices * losses.vertices;
   }
-  if (config.vertex_normals <= 0 && config.edges <= 0) return;
+  if (!config.needs_normals() && config.edges <= 0) return;
   const auto truth =
       batch.vertex_base + read_vertices(turned(images(batch.answer) * range + minimum, batch.axes), constants);
   const auto answer = truth + error;
+  torch::Tensor answer_normals, true_normals;
+  if (config.needs_normals()) {
+    answer_normals = mesh_normals(answer, constants.faces);
+    true_normals = mesh_normals(truth, constants.faces);
+  }
   if (config.vertex_normals > 0) {
-    const auto difference = mesh_normals(answer, constants.faces) - mesh_normals(truth, constants.faces);
+    const auto difference = answer_normals - true_normals;
     losses.vertex_normals = (difference / mean_range(constants.normal, constants, config)).square().mean();
     losses.total = losses.total + config.vertex_normals * losses.vertex_normals;
   }
@@ -112,6 +135,12 @@ void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const B
     const auto difference = edge_lengths(answer, constants.edges) - edge_lengths(truth, constants.edges);
     losses.edges = (difference / (kEdgeUnit * constants.edge_lengths)).square().mean();
     losses.total = losses.total + config.edges * losses.edges;
+  }
+  if (config.wrinkles > 0) {
+    const auto energies = wrinkle_energies(answer_normals, constants.ring_average);
+    const auto truths = wrinkle_energies(true_normals, constants.ring_average);
+    losses.wrinkles = ((energies + kFlat).log() - (truths + kFlat).log()).square().mean();
+    losses.total = losses.total + config.wrinkles * losses.wrinkles;
   }
 }
 
@@ -131,6 +160,11 @@ void LossConstants::set_vertices(const MeshRead& read, const torch::Device& devi
   edges = torch::tensor(read.edges, torch::kInt64).view({2, -1}).to(device);
   const auto rest = torch::tensor(read.rest).view({1, 3, vertices}).to(device);
   edge_lengths = pleat::superres::edge_lengths(rest, edges).flatten();
+  const auto itself = torch::arange(vertices, torch::kInt64).to(device);
+  const auto places = torch::cat({edges, edges.flip(0), itself.expand({2, -1})}, 1);
+  const auto counts = torch::bincount(places[0], {}, vertices).to(torch::kFloat32);
+  ring_average =
+      torch::sparse_coo_tensor(places, counts.reciprocal().index_select(0, places[0]), {vertices, vertices}).coalesce();
 }
 
 Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, const LossConstants& constants,
@@ -157,7 +191,7 @@ Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, cons
   } else {
     losses.kinematic = torch::zeros_like(losses.total);
   }
-  losses.vertices = losses.vertex_normals = losses.edges = torch::zeros_like(losses.total);
+  losses.vertices = losses.vertex_normals = losses.edges = losses.wrinkles = torch::zeros_like(losses.total);
   if (config.needs_vertices()) add_vertex_losses(losses, synthesized, batch, constants, config);
   return losses;
 }

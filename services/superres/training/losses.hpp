@@ -8,6 +8,9 @@
 
 namespace pleat::superres {
 
+/// Bands of the loss on wrinkles: scales of up to four fine edges, where the coarse cloth does not tell.
+inline constexpr std::size_t kWrinkleLossBands = 3;
+
 /// One batch: B windows of F consecutive frames, flattened to N = B F images, window by window.
 struct Batch {
   torch::Tensor input;                 ///< (N, T C + K, h, w) normalised, perhaps mirrored
@@ -33,6 +36,7 @@ struct LossConstants {
   torch::Tensor vertex_weights;  ///< (K, V)
   torch::Tensor faces, edges;    ///< (3, F) and (2, E) int64
   torch::Tensor edge_lengths;    ///< (E): of the rest mesh, metres
+  torch::Tensor ring_average;    ///< (V, V) sparse: the mean of a vertex and its neighbours
 
   /// Sets what the losses on vertices need, which have nothing to read without it.
   void set_vertices(const MeshRead& read, const torch::Device& device);
@@ -41,7 +45,7 @@ struct LossConstants {
 /// Each is the mean over valid texels and channels (0 where the answer has no such channels), or over vertices or
 /// edges, unweighted; total is their weighted sum (eq. 6).
 struct Losses {
-  torch::Tensor displacement, normal, velocity, kinematic, vertices, vertex_normals, edges, total;
+  torch::Tensor displacement, normal, velocity, kinematic, vertices, vertex_normals, edges, wrinkles, total;
 };
 
 /// synthesized: (N, C, H, W), the network's answer to batch.input, not mirrored: displacements in the first three
@@ -61,6 +65,10 @@ struct Losses {
 ///   vertices        mean |x^s - x^h|^2 / (3 L_d^2)                          (as eq. 2, but what VMSE measures)
 ///   vertex_normals  mean |n^s - n^h|^2 / (3 L_n^2)                          (area-weighted unit normals of the mesh)
 ///   edges           mean ((l^s - l^h) / (0.01 l^rest))^2                    (difference in percent of the rest length)
+///   wrinkles        mean (log (E_b^s + e) / (E_b^h + e))^2                  (over images and kWrinkleLossBands bands)
+/// with E_b the energy of the mesh's normals in a band (common/mesh/wrinkles.hpp) and e = 1e-4, below which a cloth is
+/// flat: the amount of wrinkling is right wherever the folds are, of which the mean of all that might be has too
+/// little.
 Losses compute_losses(const torch::Tensor& synthesized, const Batch& batch, const LossConstants& constants,
                       const LossConfig& config);
 

@@ -250,10 +250,11 @@ class Trainer {
     batch.to(device_);
     const auto synthesized = sampler_.unmirrored(network_.forward(batch.input, type_), batch);
     const Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
-    const auto parts = torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity,
-                                     losses.kinematic, losses.vertices, losses.vertex_normals, losses.edges})
-                           .detach()
-                           .to(torch::kCPU, torch::kFloat64);
+    const auto parts =
+        torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity, losses.kinematic,
+                      losses.vertices, losses.vertex_normals, losses.edges, losses.wrinkles})
+            .detach()
+            .to(torch::kCPU, torch::kFloat64);
     values.slice(0, 0, kLossParts) += share * parts;
     (losses.total * share).backward();
   }
@@ -358,6 +359,7 @@ class Trainer {
     report.total = state_.sums[0] / n, report.displacement = state_.sums[1] / n, report.normal = state_.sums[2] / n;
     report.velocity = state_.sums[3] / n, report.kinematic = state_.sums[4] / n;
     report.vertices = state_.sums[5] / n, report.vertex_normals = state_.sums[6] / n, report.edges = state_.sums[7] / n;
+    report.wrinkles = state_.sums[8] / n;
     const bool last = report.epoch == config_.epochs || steps < sampler_.steps_per_epoch();
     if (last || report.epoch % config_.validation.every_epochs == 0) validate(adam, report);
     report.minutes = minutes();

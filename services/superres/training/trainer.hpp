@@ -17,7 +17,7 @@ struct EpochReport {
   double minutes = 0;      ///< wall clock so far
   double learning_rate = 0;
   double total = 0, displacement = 0, normal = 0, velocity = 0, kinematic = 0;  ///< means over the epoch
-  double vertices = 0, vertex_normals = 0, edges = 0;                           ///< the same
+  double vertices = 0, vertex_normals = 0, edges = 0, wrinkles = 0;             ///< the same
   bool validated = false;
   double psnr_db = 0;                               ///< of the normalised displacement image over valid texels, peak 1
   double psnr_normal_db = 0, psnr_velocity_db = 0;  ///< the same of the other features

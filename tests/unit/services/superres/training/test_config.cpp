@@ -78,6 +78,7 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("losses": {"vertices": 0.1})")), HasSubstr("'patch' = 0"));
   EXPECT_THAT(error_of(with(R"("losses": {"vertex_normals": 0.1})")), HasSubstr("'patch' = 0"));
   EXPECT_THAT(error_of(with(R"("losses": {"edges": 0.1})")), HasSubstr("'patch' = 0"));
+  EXPECT_THAT(error_of(with(R"("losses": {"wrinkles": 0.1})")), HasSubstr("'patch' = 0"));
   EXPECT_THAT(error_of(with(R"("patch": 0, "losses": {"edges": -0.1})")), HasSubstr("'losses.edges' = -0.1"));
   EXPECT_EQ(error_of(with(R"("patch": 0, "losses": {"edges": 0.1})")), "no error");
   EXPECT_THAT(error_of(with(R"("schedule": {"kind": "cosine", "progress": "minutes"})")), HasSubstr("max_minutes"));
@@ -102,7 +103,8 @@ TEST(TrainConfig, ResumptionMayChangeLimitsOnly) {
 TEST(TrainConfig, KeysThatAnOlderCheckpointLacksHaveTheirDefaults) {
   const std::string now = to_json(train_config_from_json(with(""), "x"));
   nlohmann::json older = nlohmann::json::parse(now);
-  for (const char* key : {"vertices", "vertex_normals", "edges"}) ASSERT_EQ(older["losses"].erase(key), 1U) << key;
+  for (const char* key : {"vertices", "vertex_normals", "edges", "wrinkles"})
+    ASSERT_EQ(older["losses"].erase(key), 1U) << key;
   const std::string old = older.dump();
   EXPECT_EQ(first_difference(now, old), "");
   const std::string other = to_json(train_config_from_json(with(R"("patch": 0, "losses": {"vertices": 1})"), "x"));

@@ -182,6 +182,7 @@ void add_vertices(const MeshRead& read, Batch& batch, LossConstants& constants) 
   constants.set_vertices(read, torch::kCPU);
   constants.vertex_weights = constants.vertex_weights.to(torch::kFloat64);
   constants.edge_lengths = constants.edge_lengths.to(torch::kFloat64);
+  constants.ring_average = constants.ring_average.to(torch::kFloat64);
   const std::int64_t images = batch.answer.size(0);
   batch.vertex_base =
       torch::tensor(read.rest).to(torch::kFloat64).view({1, 3, read.vertex_count()}).expand({images, -1, -1});
@@ -283,6 +284,125 @@ TEST(VertexLosses, AgreeWithPlainLoopsAndFiniteDifferences) {
       }
     }
   }
+}
+
+/// Energies of the normals, round by round; logarithms of their ratios.
+double plain_wrinkle_loss(const torch::Tensor& synthesized, const Batch& batch, const MeshRead& read,
+                          const LossConstants& constants) {
+  Eigen::MatrixXd ring = Eigen::MatrixXd::Identity(kVertices, kVertices);
+  const std::size_t edges = read.edges.size() / 2;
+  for (std::size_t e = 0; e < edges; ++e) {
+    const auto a = read.edges[e], b = read.edges[edges + e];
+    ring(a, b) = ring(b, a) = 1;
+  }
+  const Eigen::VectorXd counts = ring.rowwise().sum();
+  ring = (counts.cwiseInverse().asDiagonal() * ring).eval();
+  const auto energies = [&](const Points& points) {
+    Eigen::Vector3d result;
+    Eigen::MatrixXd smooth = plain_normals(points, read);
+    for (int band = 0, round = 0; band < 3; ++band) {
+      const Eigen::MatrixXd before = smooth;
+      for (; round < (band == 0 ? 1 : band == 1 ? 4 : 16); ++round) smooth = ring * smooth;
+      result[band] = (before - smooth).squaredNorm() / kVertices;
+    }
+    return result;
+  };
+  double sum = 0;
+  const int images = static_cast<int>(synthesized.size(0));
+  for (int n = 0; n < images; ++n) {
+    const Eigen::Vector3d s = energies(plain_mesh(synthesized, n, read, constants)),
+                          h = energies(plain_mesh(batch.answer, n, read, constants));
+    for (int band = 0; band < 3; ++band) sum += std::pow(std::log((s[band] + 1e-4) / (h[band] + 1e-4)), 2);
+  }
+  return sum / (3 * images);
+}
+
+TEST(WrinkleLoss, AgreesWithPlainLoopsAndFiniteDifferences) {
+  Batch batch = example_batch();
+  LossConstants constants = example_constants();
+  const MeshRead read = example_read();
+  add_vertices(read, batch, constants);
+  LossConfig config;
+  config.displacement = config.normal = config.velocity = config.kinematic = 0;
+  config.wrinkles = 0.3;
+  auto synthesized = torch::rand_like(batch.answer);
+  const double expected = plain_wrinkle_loss(synthesized, batch, read, constants);
+  ASSERT_GT(expected, 0.01);
+  synthesized.set_requires_grad(true);
+  const Losses losses = compute_losses(synthesized, batch, constants, config);
+  EXPECT_NEAR(losses.wrinkles.item<double>(), expected, 1e-6 * expected);
+  EXPECT_NEAR(losses.total.item<double>(), 0.3 * expected, 1e-6 * expected);
+
+  losses.total.backward();
+  const auto gradient = synthesized.grad().clone();
+  synthesized.set_requires_grad(false);
+  const double step = 1e-6, sharpness = gradient.abs().max().item<double>();
+  ASSERT_GT(sharpness, 0);
+  for (std::int64_t i = 0; i < synthesized.numel(); ++i) {
+    const double analytic = gradient.view({-1})[i].item<double>();
+    if (analytic == 0 && i % 11 != 0) continue;
+    auto moved = synthesized.clone();
+    moved.view({-1})[i] += step;
+    const double up = plain_wrinkle_loss(moved, batch, read, constants);
+    moved.view({-1})[i] -= 2 * step;
+    const double down = plain_wrinkle_loss(moved, batch, read, constants);
+    ASSERT_NEAR(0.3 * (up - down) / (2 * step), analytic, 2e-5 * sharpness) << i;
+  }
+}
+
+/// Folds at another place are no error, half as many are.
+TEST(WrinkleLoss, AsksForTheAmountAlone) {
+  MeshRead read;
+  constexpr int kSide = 16;
+  for (int i = 0; i < kSide * kSide; ++i) {
+    read.texels.push_back(i);
+    read.weights.push_back(1);
+    for (const int other : {i + 1, i + kSide}) {
+      if (other == i + 1 ? other % kSide == 0 : other >= kSide * kSide) continue;
+      read.edges.push_back(i);
+      read.edges.push_back(other);
+    }
+  }
+  std::vector<std::int64_t> ends;
+  for (std::size_t e = 0; e < read.edges.size(); e += 2) ends.push_back(read.edges[e]);
+  for (std::size_t e = 0; e < read.edges.size(); e += 2) ends.push_back(read.edges[e + 1]);
+  read.edges = ends;
+  read.rest.assign(static_cast<std::size_t>(3 * kSide * kSide), 0);
+  std::vector<std::int64_t> corners[3];
+  for (int y = 0; y < kSide; ++y) {
+    for (int x = 0; x < kSide; ++x) {
+      const int i = y * kSide + x;
+      read.rest[static_cast<std::size_t>(i)] = static_cast<float>(x);
+      read.rest[static_cast<std::size_t>(2 * kSide * kSide + i)] = static_cast<float>(y);
+      if (x + 1 == kSide || y + 1 == kSide) continue;
+      for (const auto& face : {std::array{i, i + kSide, i + 1}, std::array{i + 1, i + kSide, i + kSide + 1}}) {
+        for (std::size_t k = 0; k < 3; ++k) corners[k].push_back(face[k]);
+      }
+    }
+  }
+  for (const auto& row : corners) read.faces.insert(read.faces.end(), row.begin(), row.end());
+  // Heights of waves across, from texel values.
+  const auto waves = [&](double height, double phase) {
+    auto image = torch::zeros({1, 3, kSide, kSide}, torch::kFloat64);
+    for (int x = 0; x < kSide; ++x) image.select(3, x).select(1, 1).fill_(height * std::sin(x * 1.3 + phase));
+    return image;
+  };
+  Batch batch;
+  batch.answer = waves(0.3, 0);
+  batch.mask = torch::ones({1, 1, kSide, kSide}, torch::kFloat64);
+  LossConstants constants;
+  constants.offset = torch::zeros({3}, torch::kFloat64);
+  constants.scale = constants.deviation = torch::ones({3}, torch::kFloat64);
+  add_vertices(read, batch, constants);
+  LossConfig config;
+  config.displacement = config.normal = config.velocity = config.kinematic = 0;
+  config.wrinkles = 1;
+  const auto loss = [&](const torch::Tensor& image) {
+    return compute_losses(image, batch, constants, config).wrinkles.item<double>();
+  };
+  EXPECT_EQ(loss(batch.answer), 0);
+  EXPECT_LT(loss(waves(0.3, 2)), 0.05);
+  EXPECT_GT(loss(waves(0.15, 0)), 0.5);
 }
 
 /// A right triangle with a vertex that is 1 cm or 1 m off.

@@ -287,7 +287,7 @@ TEST_F(TrainerTest, PassesAddUpWithLossesOnVertices) {
     TrainConfig c = config(output);
     c.batch = 5, c.micro_batch = micro_batch, c.patch = 0, c.mirror = true;
     c.optimizer.learning_rate = kCalmRate;
-    c.losses.vertices = 0.5, c.losses.vertex_normals = 0.2, c.losses.edges = 0.01;
+    c.losses.vertices = 0.5, c.losses.vertex_normals = 0.2, c.losses.edges = 0.01, c.losses.wrinkles = 0.1;
     return train(c, data, nullptr, {});
   };
   const TrainResult a = run("whole", 0), b = run("parts", 2);
@@ -301,6 +301,8 @@ TEST_F(TrainerTest, PassesAddUpWithLossesOnVertices) {
   ASSERT_EQ(logged.size(), 4U);
   EXPECT_NEAR(logged.back().vertices, a.last.vertices, 1e-6 * a.last.vertices);
   EXPECT_NEAR(logged.back().edges, a.last.edges, 1e-6 * a.last.edges);
+  EXPECT_GT(a.last.wrinkles, 0);
+  EXPECT_NEAR(logged.back().wrinkles, a.last.wrinkles, 1e-6 * a.last.wrinkles);
 
   data.mesh_read = {};
   EXPECT_THROW(run("none", 0), Error);
@@ -315,6 +317,14 @@ TEST_F(TrainerTest, LogsFromBeforeTheLossesOnVerticesAreRead) {
   EXPECT_EQ(rows[0].psnr_db, 30);
   EXPECT_TRUE(rows[0].best);
   EXPECT_EQ(rows[0].vertices, 0);
+
+  std::ofstream(path) << "epoch,steps,minutes,learning_rate,total,displacement,normal,velocity,kinematic,psnr_db,"
+                         "psnr_normal_db,psnr_velocity_db,vmse_m2,rmse_m,best,vertices,vertex_normals,edges\n"
+                         "1,6,0.5,0.1,2,3,4,5,6,30,31,32,9,3,1,0.7,0.8,0.9\n";
+  const auto later = read_log(path, 9);
+  ASSERT_EQ(later.size(), 1U) << "from before the loss on wrinkles";
+  EXPECT_EQ(later[0].edges, 0.9);
+  EXPECT_EQ(later[0].wrinkles, 0);
 }
 
 TEST_F(TrainerTest, CurvesAreInTheLogThePageAndTheBundle) {
