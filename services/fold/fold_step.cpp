@@ -94,7 +94,7 @@ struct FoldStep::Work {
   FacePacks faces;
   HingePacks hinges;
   std::vector<float> inverse_masses;
-  std::vector<char> fixed, fixed_before;
+  std::vector<char> fixed, fixed_before;  // the latter empty before the first frame
   std::vector<std::uint32_t> pins;
 
   // One more than there are vertices, as scratch place of packs.
@@ -129,7 +129,6 @@ struct FoldStep::Work {
     touching.assign(coarse_count, 0);
     tangled.assign(count, 0);
     fixed.assign(count, 0);
-    fixed_before.assign(count, 1);  // so that the first frame sets the step
     for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
   }
 

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <functional>
+#include <numeric>
 
 #include "common/base/error.hpp"
 #include "services/refinement/judge.hpp"
@@ -202,6 +203,22 @@ TEST_F(FoldStepTest, WhatIsHeldStays) {
   FoldState state;
   for (int k = 0; k < 10; ++k) step.fold({rest, still, {}, held}, state);
   for (const std::uint32_t h : held) EXPECT_LT((state.positions.row(h) - rest.row(h)).norm(), 1e-3f);
+}
+
+TEST_F(FoldStepTest, AClothThatIsHeldEverywhereIsTheUpsampledOne) {
+  FoldStep step = make({{"ball", {}, 0}});
+  ObstacleFrame ball;
+  ball.name = "ball";
+  ball.center = {0, -0.1f, 0};
+  ball.radius = 0.11f;  // reaches through the cloth, which cannot give way
+  const std::vector<ObstacleFrame> obstacles{ball};
+  std::vector<std::uint32_t> held(static_cast<std::size_t>(coarse.vertex_count()));
+  std::iota(held.begin(), held.end(), 0u);
+  FoldState state;
+  for (int k = 0; k < 3; ++k) {
+    step.fold({rest, still, obstacles, held}, state);
+    EXPECT_LT((state.positions - upsampled(rest)).rowwise().norm().maxCoeff(), 1e-6f);
+  }
 }
 
 // A pleat that has been pulled through the cloth beside it.
