@@ -16,6 +16,7 @@
 #include "services/fold/layers.hpp"
 #include "services/fold/levels.hpp"
 #include "services/fold/tracking.hpp"
+#include "services/fold/viscosity.hpp"
 #include "services/refinement/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
@@ -24,15 +25,16 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// By this factor the fine tablecloth wrinkles as one that is simulated in steps of 5 ms (bench_fold_step).
-constexpr float kBending = 0.8f;
+// By this factor of the hinges' stiffness the fine tablecloth wrinkles as one that is simulated in steps of 5 ms
+// (bench_fold_step).
+constexpr float kBending = 0.9f;
 constexpr double kMostSteps = 1000;  // in a frame: it must end
 constexpr int kPullEvery = 4;        // steps
 // What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
 // less, what is around.
 constexpr float kTangleFrequency = 60;
 constexpr int kTangleRings = 3;
-constexpr float kDetailDamping = 8;  // 1/s, of motion beside the coarse cloth's
+constexpr float kDetailDamping = 4;  // 1/s, of motion beside the coarse cloth's
 constexpr std::size_t kMostTangles = 20'000;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
@@ -89,6 +91,7 @@ struct FoldStep::Work {
   refinement::SelfIntersectionFinder tangles;
   std::vector<float> masses;  // kg per fine vertex
   Tracking tracking;
+  Viscosity viscosity;
 
   CoarserLevels levels;
   FacePacks faces;
@@ -120,6 +123,7 @@ struct FoldStep::Work {
         tangles(s.fine.faces, s.fine.vertex_count(), c.faces),
         masses(lumped_masses(s.fine, o.material.density)),
         tracking(c, s, masses),
+        viscosity(s.fine),
         levels(c, s, o.material) {
     faces = FacePacks(stretch_faces(s.fine, o.material), count);
     std::vector<Hinge> bending = edge_hinges(s.fine, o.material);
@@ -344,29 +348,32 @@ struct FoldStep::Work {
       const float inverse = 1 / frame_s;
       tracking.update(
           [&](std::uint32_t i) {
-            return Tracking::Lack{from[i] + time * way[i] - x[i], inverse * way[i] - v[i]};
+            return Tracking::Lack{from[i] + time * way[i] - x[i], inverse * way[i] - v[i], v[i]};
           },
-          static_cast<float>(options.frequency), touching);
+          static_cast<float>(options.frequency), static_cast<float>(kPullEvery) * step_s, touching);
     }
     // The velocity with which a cloth without a state begins has met gravity and air in this frame already.
     const Float4 gravity = restarted ? Float4{} : to_float4(options.gravity);
     const float drag = restarted ? 0 : step_s * static_cast<float>(options.air_density / options.material.density);
     const Float4 air = to_float4(options.air_velocity);
+    const float viscous = viscosity.share(step_s), along = std::min(1.0f, kDetailDamping * step_s);
+    const float per_frame = 1 / frame_s, per_step = 1 / step_s;
     for (std::uint32_t i = 0; i < count; ++i) {
       before[i] = x[i];
+      Float4 velocity = v[i] + viscous * viscosity.lack(i, v);
       Float4 acceleration = gravity + tracking.at(i);
       if (guided) {
         acceleration += kStartFrequency * kStartFrequency * (given[i] - (1 - middle) * way[i] - x[i]);
       }
       if (tangled[i] > 0) {
         const float pull = tangled[i] * kTangleFrequency;
-        acceleration += pull * pull * (from[i] + middle * way[i] - x[i]) + 2 * pull * (way[i] / frame_s - v[i]);
+        acceleration += pull * pull * (from[i] + middle * way[i] - x[i]) + 2 * pull * (per_frame * way[i] - velocity);
       }
-      v[i] += step_s * acceleration;
-      v[i] -= std::min(1.0f, kDetailDamping * step_s) * (v[i] - way[i] / frame_s);
-      const float across = dot(normals[i], v[i] - air);
-      v[i] -= (across - across / (1 + drag * std::abs(across))) * normals[i];
-      x[i] += step_s * v[i];
+      velocity += step_s * acceleration;
+      velocity -= along * (velocity - per_frame * way[i]);
+      const float across = dot(normals[i], velocity - air);
+      velocity -= (across - across / (1 + drag * std::abs(across))) * normals[i];
+      x[i] += step_s * velocity;
     }
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
     levels.solve(x);
@@ -375,7 +382,7 @@ struct FoldStep::Work {
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
     sort_layers();
     keep_out();
-    for (std::uint32_t i = 0; i < count; ++i) v[i] = (x[i] - before[i]) / step_s;
+    for (std::uint32_t i = 0; i < count; ++i) v[i] = per_step * (x[i] - before[i]);
   }
 
   // The obstacles as they are, not planes.

@@ -9,7 +9,7 @@
 namespace pleat::fold {
 namespace {
 
-constexpr int kSmoothRounds = 2;  // of the coarsest level's moves
+constexpr int kSmoothRounds = 3;  // of the coarsest level's moves
 
 std::uint64_t key(std::uint32_t a, std::uint32_t b) { return (std::uint64_t{std::min(a, b)} << 32) | std::max(a, b); }
 
@@ -28,17 +28,7 @@ CoarserLevels::CoarserLevels(const Topology& coarse, const Subdivision& subdivis
     for (const float mass : lumped_masses(mesh, material.density)) level.inverse_masses.push_back(1 / mass);
     level.faces = FacePacks(stretch_faces(mesh, material), nowhere);
     add_parents(mesh, subdivision, round);
-    if (round > 0) continue;
-    std::vector<std::vector<std::uint32_t>> neighbours(level.size);
-    for (const Edge& edge : build_connectivity(mesh.vertex_count(), mesh.faces).edges) {
-      neighbours[edge.v0].push_back(edge.v1);
-      neighbours[edge.v1].push_back(edge.v0);
-    }
-    ring_begin_.push_back(0);
-    for (const auto& list : neighbours) {
-      ring_.insert(ring_.end(), list.begin(), list.end());
-      ring_begin_.push_back(static_cast<std::uint32_t>(ring_.size()));
-    }
+    if (round == 0) rings_ = Rings(mesh);
   }
 }
 
@@ -71,9 +61,10 @@ void CoarserLevels::smooth_moves() {
     for (std::uint32_t v = 0; v < size; ++v) {
       smoothed_[v] = Float4{};
       if (fixed_[v]) continue;
+      const std::span<const std::uint32_t> ring = rings_.of(v);
       Float4 sum = moved_[v];
-      for (std::uint32_t r = ring_begin_[v]; r < ring_begin_[v + 1]; ++r) sum += moved_[ring_[r]];
-      smoothed_[v] = sum / static_cast<float>(1 + ring_begin_[v + 1] - ring_begin_[v]);
+      for (const std::uint32_t r : ring) sum += moved_[r];
+      smoothed_[v] = sum / static_cast<float>(1 + ring.size());
     }
     std::swap(moved_, smoothed_);
   }

@@ -9,6 +9,7 @@
 
 #include "common/mesh/subdivision.hpp"
 #include "services/fold/constraints.hpp"
+#include "services/fold/rings.hpp"
 
 namespace pleat::fold {
 
@@ -40,8 +41,8 @@ class CoarserLevels {
 
   std::vector<Level> levels_;
   std::vector<Parents> parents_;
-  std::vector<std::uint32_t> ring_begin_, ring_;  // neighbours of the coarsest level's vertices
-  std::vector<char> fixed_;                       // as set_step() has it
+  Rings rings_;              // of the coarsest level
+  std::vector<char> fixed_;  // as set_step() has it
   std::vector<Float4> moved_, smoothed_;
 };
 

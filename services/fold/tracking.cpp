@@ -4,7 +4,6 @@
 #include <cmath>
 #include <utility>
 
-#include "common/mesh/connectivity.hpp"
 #include "services/fold/lanes.hpp"
 
 namespace pleat::fold {
@@ -21,7 +20,7 @@ constexpr float kTouchFrequency = 40;  // rad/s
 }  // namespace
 
 Tracking::Tracking(const Topology& coarse, const Subdivision& subdivision, std::span<const float> masses)
-    : corners_(masses.size()) {
+    : corners_(masses.size()), rings_(coarse), viscosity_(coarse) {
   const auto coarse_count = static_cast<std::size_t>(coarse.vertex_count());
   std::vector<float> hat(coarse_count, 0);
   for (std::uint32_t i = 0; i < corners_.size(); ++i) {
@@ -38,25 +37,14 @@ Tracking::Tracking(const Topology& coarse, const Subdivision& subdivision, std::
       corners_[i].share[k] = mass > 0 ? masses[i] * corners_[i].weight[k] / mass : 0;
     }
   }
-  std::vector<std::vector<std::uint32_t>> neighbours(coarse_count);
-  for (const Edge& edge : build_connectivity(coarse.vertex_count(), coarse.faces).edges) {
-    neighbours[edge.v0].push_back(edge.v1);
-    neighbours[edge.v1].push_back(edge.v0);
-  }
-  ring_begin_.push_back(0);
-  for (const auto& list : neighbours) {
-    ring_.insert(ring_.end(), list.begin(), list.end());
-    ring_begin_.push_back(static_cast<std::uint32_t>(ring_.size()));
-  }
-  for (auto* buffer : {&averages_, &large_, &smoothed_}) buffer->assign(coarse_count, Float4{});
+  for (auto* buffer : {&averages_, &large_, &moves_, &smoothed_}) buffer->assign(coarse_count, Float4{});
 }
 
 void Tracking::begin() {
-  std::fill(averages_.begin(), averages_.end(), Float4{});
-  std::fill(large_.begin(), large_.end(), Float4{});
+  for (auto* buffer : {&averages_, &large_, &moves_}) std::fill(buffer->begin(), buffer->end(), Float4{});
 }
 
-void Tracking::finish(float frequency, std::span<const float> touching) {
+void Tracking::finish(float frequency, float time_s, std::span<const float> touching) {
   for (std::size_t c = 0; c < averages_.size(); ++c) {
     const float lack = std::sqrt(dot(averages_[c], averages_[c]));
     const float large = kLargeFrequency * std::min(1.0f, lack / kLargeLack);
@@ -66,14 +54,16 @@ void Tracking::finish(float frequency, std::span<const float> touching) {
     averages_[c] = frequency * frequency * averages_[c] + held;
   }
   for (int round = 0; round < kLargeRounds; ++round) {
-    for (std::size_t c = 0; c < large_.size(); ++c) {
+    for (std::uint32_t c = 0; c < large_.size(); ++c) {
+      const std::span<const std::uint32_t> ring = rings_.of(c);
       Float4 sum = large_[c];
-      for (std::uint32_t r = ring_begin_[c]; r < ring_begin_[c + 1]; ++r) sum += large_[ring_[r]];
-      smoothed_[c] = sum / static_cast<float>(1 + ring_begin_[c + 1] - ring_begin_[c]);
+      for (const std::uint32_t r : ring) sum += large_[r];
+      smoothed_[c] = sum / static_cast<float>(1 + ring.size());
     }
     std::swap(large_, smoothed_);
   }
-  for (std::size_t c = 0; c < averages_.size(); ++c) averages_[c] += large_[c];
+  const float viscous = viscosity_.share(time_s) / time_s;
+  for (std::uint32_t c = 0; c < averages_.size(); ++c) averages_[c] += large_[c] + viscous * viscosity_.lack(c, moves_);
 }
 
 }  // namespace pleat::fold

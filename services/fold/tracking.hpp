@@ -8,6 +8,8 @@
 
 #include "common/base/simd.hpp"
 #include "common/mesh/subdivision.hpp"
+#include "services/fold/rings.hpp"
+#include "services/fold/viscosity.hpp"
 
 namespace pleat::fold {
 
@@ -18,15 +20,17 @@ class Tracking {
   /// masses: kg per fine vertex.
   Tracking(const Topology& coarse, const Subdivision& subdivision, std::span<const float> masses);
 
-  /// From what the fine vertices lack in place (m) and in velocity (m/s): accelerations for at(). The averages of the
-  /// places swing with `frequency` (rad/s), and what is common to many rings is drawn, critically damped, with another
-  /// one of the method's; so is, harder, what touches an obstacle. touching: per coarse vertex, 0 to 1. lack(i) gives
-  /// both. O(V_fine + V_coarse).
+  /// What a fine vertex lacks in place (m) and in velocity (m/s), and the velocity that it has.
   struct Lack {
-    Float4 place, velocity;
+    Float4 place, velocity, moves;
   };
+
+  /// Accelerations for at(), for a time (s). The averages of the places swing with `frequency` (rad/s), and what is
+  /// common to many rings is drawn, critically damped, with another one of the method's; so is, harder, what touches an
+  /// obstacle. The averages' relative motion is viscous. touching: per coarse vertex, 0 to 1. lack(i) gives a Lack.
+  /// O(V_fine + V_coarse).
   template <typename Of>
-  void update(const Of& lack, float frequency, std::span<const float> touching) {
+  void update(const Of& lack, float frequency, float time_s, std::span<const float> touching) {
     begin();
     for (std::uint32_t i = 0; i < corners_.size(); ++i) {
       const Corners& c = corners_[i];
@@ -34,9 +38,10 @@ class Tracking {
       for (std::size_t k = 0; k < 3; ++k) {
         averages_[c.coarse[k]] += c.share[k] * l.place;
         large_[c.coarse[k]] += c.share[k] * l.velocity;
+        moves_[c.coarse[k]] += c.share[k] * l.moves;
       }
     }
-    finish(frequency, touching);
+    finish(frequency, time_s, touching);
   }
 
   /// m/s^2, of a fine vertex.
@@ -48,7 +53,7 @@ class Tracking {
 
  private:
   void begin();
-  void finish(float frequency, std::span<const float> touching);
+  void finish(float frequency, float time_s, std::span<const float> touching);
 
   // Of a fine vertex: coarse corners, their weights, and weights times mass over the mass of the corner's hat.
   struct Corners {
@@ -56,8 +61,9 @@ class Tracking {
     std::array<float, 3> weight, share;
   };
   std::vector<Corners> corners_;
-  std::vector<std::uint32_t> ring_begin_, ring_;     // neighbours of coarse vertices
-  std::vector<Float4> averages_, large_, smoothed_;  // per coarse vertex
+  Rings rings_;  // of coarse vertices
+  Viscosity viscosity_;
+  std::vector<Float4> averages_, large_, moves_, smoothed_;  // per coarse vertex
 };
 
 }  // namespace pleat::fold

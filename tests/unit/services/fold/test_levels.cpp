@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "common/mesh/connectivity.hpp"
 #include "tests/unit/services/simulation/garments.hpp"
 
 namespace pleat::fold {
@@ -61,6 +62,31 @@ TEST_F(LevelsTest, FixedVerticesStayAndPullTheOthers) {
     back = std::min(back, moved[v][0]);
   }
   EXPECT_LT(back, -1e-3f);
+}
+
+// What one pass finds wrong about a vertex is known to its own faces only; moved alone it would stand out as a lump.
+TEST_F(LevelsTest, MovesOfTheCoarsestLevelAreAveraged) {
+  const Subdivision once = subdivide(coarse, 1);  // no other level
+  CoarserLevels coarsest(coarse, once, simulation::plain_material(60, 2e-5));
+  coarsest.set_step(std::vector<char>(static_cast<std::size_t>(once.fine.vertex_count()), 0), kStep);
+  const auto size = static_cast<std::uint32_t>(coarse.vertex_count());
+  std::uint32_t middle = 0;
+  while (coarse.rest_positions.row(middle).norm() > 1e-4f) ++middle;
+  std::vector<Float4> sheet(x.begin(), x.begin() + once.fine.vertex_count() + 1);
+  sheet[middle][0] += 0.01f;
+  std::vector<Float4> moved = sheet;
+  coarsest.solve(sheet);
+  float most = 0, beyond = 0, step = 0;
+  for (std::uint32_t v = 0; v < size; ++v) {
+    moved[v] = sheet[v] - moved[v];
+    most = std::max(most, length(moved[v]));
+    if (std::abs(coarse.rest_positions(v, 0)) > 0.12f) beyond = std::max(beyond, length(moved[v]));
+  }
+  for (const Edge& edge : build_connectivity(coarse.vertex_count(), coarse.faces).edges) {
+    step = std::max(step, length(moved[edge.v0] - moved[edge.v1]));
+  }
+  EXPECT_LT(step, most) << "neighbours move alike";
+  EXPECT_GT(beyond, 0.2f * most) << "two rings farther than one pass reaches";
 }
 
 }  // namespace
