@@ -1,8 +1,10 @@
 // `pleat eval`: bundles against the baselines on unseen sequences.
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 
 #include "common/base/progress.hpp"
+#include "common/frame/detail.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
@@ -16,19 +18,36 @@ namespace fs = std::filesystem;
 
 struct EvalOptions {
   std::string dataset, logs, coordinator;
-  std::vector<std::string> models;
+  std::vector<std::string> models, details;
   evaluation::EvaluationOptions evaluation;
   bool json = false, baselines = false, skip_refinement = false;
   double timeout_s = 30;
   rpc::TlsOptions tls;
 };
 
+// In the order of the rows.
+std::vector<v1::Detail> chosen_details(const EvalOptions& options) {
+  std::vector<v1::Detail> details;
+  if (options.details.empty() && !options.models.empty()) details.push_back(v1::DETAIL_NETWORK);
+  for (const std::string& name : options.details) {
+    const v1::Detail detail = detail_named(name);
+    if (uses_network(detail) && options.models.empty())
+      throw_invalid_argument("--detail " + name + " needs a bundle: name it with --model");
+    if (std::find(details.begin(), details.end(), detail) == details.end()) details.push_back(detail);
+  }
+  if (!options.models.empty() && std::none_of(details.begin(), details.end(), uses_network))
+    throw_invalid_argument("--model " + options.models.front() + ": --detail fold uses no bundle");
+  return details;
+}
+
 int evaluate_command(const EvalOptions& options) {
+  const std::vector<v1::Detail> details = chosen_details(options);
   const DatasetReader dataset(options.dataset);
   std::vector<evaluation::Method> methods{evaluation::barycentric_method(dataset.topology())};
   if (options.baselines) methods.push_back(evaluation::zurdo_method(dataset));
   std::optional<Launcher> launcher;
-  if (!options.models.empty()) {
+  if (!details.empty()) {
+    const bool network = std::any_of(details.begin(), details.end(), uses_network);
     std::vector<std::string> names;
     fs::path folder;
     std::string address = options.coordinator;
@@ -47,7 +66,9 @@ int evaluate_command(const EvalOptions& options) {
     if (address.empty()) {
       LauncherOptions launch;
       launch.models = folder;
-      launch.model = names.front();
+      if (network) launch.model = names.front();
+      launch.network = network;
+      launch.fold = std::any_of(details.begin(), details.end(), uses_fold);
       const fs::path logs = options.logs.empty() ? state_folder("eval") : fs::path(options.logs);
       launch.data = logs / "services";
       launch.logs = logs / "logs";
@@ -56,8 +77,15 @@ int evaluate_command(const EvalOptions& options) {
     }
     const auto client = std::make_shared<client::Client>(address, options.tls);
     client->wait_ready(std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
-    for (const std::string& name : names)
-      methods.push_back(evaluation::session_method(client, dataset.topology(), name, !options.skip_refinement));
+    for (const v1::Detail detail : details) {
+      const auto add = [&](const std::string& model) {
+        methods.push_back(evaluation::session_method(
+            client, dataset.topology(), {.model = model, .detail = detail, .refine = !options.skip_refinement}));
+      };
+      if (!uses_network(detail)) add("");
+      for (const std::string& name : names)
+        if (uses_network(detail)) add(name);
+    }
   }
   std::optional<Progress> progress;
   const auto figures =
@@ -81,12 +109,16 @@ std::vector<Command> add_eval(CLI::App& root) {
   app->add_option("--dataset", options->dataset, "folder of the data set")->required();
   app->add_option("--model", options->models,
                   "model bundles: files, or names in deploy/models; none: the baseline only");
+  app->add_option(
+         "--detail", options->details,
+         "what makes the wrinkles, a row each: network, fold (no bundle), both (default: network with --model)")
+      ->check(CLI::IsMember({"network", "fold", "both"}));
   app->add_option("--sequences", options->evaluation.sequences, "names of sequences (default: the split 'test')");
   app->add_option("--frames", options->evaluation.frames, "the first FRAMES of each sequence only")
       ->check(positive_number());
   app->add_flag("--baselines", options->baselines,
                 "also wrinkles by example (Zurdo et al. 2013) from the data set's training split");
-  app->add_flag("--skip-refinement", options->skip_refinement, "the bundles' meshes as the networks make them");
+  app->add_flag("--skip-refinement", options->skip_refinement, "the meshes as networks and fold step make them");
   add_json_option(*app, options->json, "print one JSON object: method -> metric -> value");
   app->add_option("--logs", options->logs,
                   "folder for the services' logs (default: out/eval in a build, else $XDG_STATE_HOME/pleat/eval)");

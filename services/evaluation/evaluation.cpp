@@ -88,6 +88,8 @@ std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vec
       input.sequence = info.name;
       input.frames = frames_of(info);
       input.frame_time_s = dataset.master().frame_time_s;
+      input.scene = info.scene;
+      input.material = dataset.master().material;
       input.obstacle_shapes = info.obstacles;
       input.coarse = [&](std::uint64_t k) { return std::move(dataset.coarse(info.name, k, k + 1).at(0)); };
       input.obstacles = [&](std::uint64_t k) { return std::move(dataset.obstacles(info.name, k, k + 1).at(0)); };

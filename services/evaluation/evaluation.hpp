@@ -26,6 +26,8 @@ struct MethodInput {
   std::string sequence;
   std::uint64_t frames = 0;
   double frame_time_s = 0;
+  std::string scene;     ///< JSON of the sequence, as the data set has it
+  std::string material;  ///< the material file's text; empty in older data sets
   std::vector<ObstacleShape> obstacle_shapes;
   std::function<Positions(std::uint64_t)> coarse;
   std::function<std::vector<ObstacleFrame>(std::uint64_t)> obstacles;
@@ -33,7 +35,7 @@ struct MethodInput {
 
 /// A way to make fine frames. `run` gives each frame of a sequence to `sink`, in order.
 struct Method {
-  std::string name;  ///< "barycentric", "pleat:draping"
+  std::string name;  ///< "barycentric", "pleat:draping", "fold", "both:draping"
   std::function<void(const MethodInput&, const std::function<void(std::uint64_t, const MethodFrame&)>& sink)> run;
 };
 

@@ -194,7 +194,7 @@ Benchmark measure(const TablesOptions& options, const Printed& printed, const fs
     launcher.emplace(launch);
     const auto client = std::make_shared<client::Client>(launcher->coordinator());
     for (const std::string& name : bundles) {
-      Method method = session_method(client, dataset.topology(), name, name == set);
+      Method method = session_method(client, dataset.topology(), {.model = name, .refine = name == set});
       method.name = name;
       methods.push_back(method);
     }

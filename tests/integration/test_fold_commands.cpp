@@ -9,6 +9,7 @@
 #include "common/store/result.hpp"
 #include "tests/support/executable.hpp"
 #include "tests/support/temporary_folder.hpp"
+#include "tests/unit/services/evaluation/evaluation_dataset.hpp"
 
 namespace pleat::test {
 namespace {
@@ -101,6 +102,21 @@ TEST_F(FoldCommands, ALookBeforeTraining) {
   if (HasFailure()) return;
   const ResultReader theirs(folder_ / "theirs" / "result.h5");
   EXPECT_LT((theirs.enhanced(last, kFrames)[0] - smooth.enhanced(last, kFrames)[0]).cwiseAbs().maxCoeff(), 1e-6F);
+}
+
+class EvaluatesFold : public EvaluationDataset {};
+
+TEST_F(EvaluatesFold, WithTheHandlesOfTheSequencesScene) {
+  const Outcome outcome = run(built("pleat"),
+                              {"eval", "--dataset", folder_.string(), "--detail", "fold", "--skip-refinement", "--json",
+                               "--logs", (folder_ / "logs").string()},
+                              folder_ / "outcome", {{"PLEAT_MODELS", folder_.string()}});
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
+  const nlohmann::json figures = nlohmann::json::parse(outcome.out).at("fold");
+  EXPECT_EQ(figures.at("frames"), 2);
+  EXPECT_NEAR(figures.at("rmse_m").get<double>(), kOffset, 1e-6) << "every vertex is held: the upsampled coarse cloth";
+  EXPECT_TRUE(figures.at("fold_ms").is_number());
+  EXPECT_EQ(figures.at("wrinkles").size(), 4U);
 }
 
 }  // namespace

@@ -216,6 +216,9 @@ EnhanceSession Client::enhance(const EnhanceOptions& options) const {
   if (!options.held.empty()) {
     open->add_handles()->mutable_vertices()->Assign(options.held.begin(), options.held.end());
   }
+  if (options.wind_m_s != std::array<double, 3>{}) {
+    open->mutable_wind()->mutable_velocity()->Assign(options.wind_m_s.begin(), options.wind_m_s.end());
+  }
 
   auto session = std::make_unique<EnhanceSession::State>();
   session->peer = state_->peer;

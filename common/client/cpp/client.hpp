@@ -7,6 +7,7 @@
 //   while (auto fine = session.pop()) { ... }   // enhanced frames in order, until close()
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <cstdint>
 #include <functional>
@@ -34,6 +35,7 @@ struct EnhanceOptions {
   v1::Detail detail = v1::DETAIL_UNSPECIFIED;  ///< network, fold step or both; unset: the coordinator's default
   std::string material_json = {};        ///< for the fold step, ARCSim's format; empty: the shipped default material
   std::vector<std::uint32_t> held = {};  ///< for the fold step: coarse vertices that the cloth is held at all the time
+  std::array<double, 3> wind_m_s = {};   ///< for the fold step
   /// How long the coordinator may stay away in the middle of the session, which then goes on where it was, with the
   /// same bits. 0: a session ends with its coordinator.
   std::chrono::milliseconds patience{30'000};

@@ -37,7 +37,8 @@ inline Topology sheet() {
   return t;
 }
 
-/// Two frames a sequence; the fine cloth lies kOffset above the upsampled coarse one, and a sphere touches the latter.
+/// Two frames a sequence; the fine cloth lies kOffset above the upsampled coarse one, which is held at every vertex,
+/// and a sphere touches the latter.
 class EvaluationDataset : public testing::Test {
  protected:
   void SetUp() override {
@@ -53,6 +54,8 @@ class EvaluationDataset : public testing::Test {
     for (const std::string sequence : {"learn", "fall"}) {
       SequenceOptions options;
       options.name = sequence;
+      options.scene =
+          R"({"handles": [{"vertices": [0, 1, 2, 3, 4, 5, 6, 7]}, {"vertices": [8, 9, 10, 11, 12, 13, 14, 15]}]})";
       options.split = sequence == "fall" ? "test" : "train";
       options.frames = 2;
       options.coarse_vertices = coarse.vertex_count();
