@@ -98,6 +98,8 @@ def main():
                 for obstacle in sequence.get("obstacles", {}).values():
                     if "center" in obstacle:
                         picture.draw(*sphere(obstacle["center"][frame], float(obstacle["radius"][frame])), OBSTACLE)
+                    elif "positions" in obstacle:
+                        picture.draw(obstacle["positions"][frame].astype(float), obstacle["faces"][:].astype(int), OBSTACLE)
                 picture.draw(sequence[f"{level}/positions"][frame].astype(float), faces, CLOTH)
                 pictures.append(picture.image)
         write_png(out, np.ascontiguousarray(np.vstack([np.hstack(row) for row in strip.values()])))

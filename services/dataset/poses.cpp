@@ -128,8 +128,12 @@ Vector3d WornJudge::slip(const Positions& garment, const Positions& body) const 
   return sum / static_cast<double>(nearest_.size());
 }
 
-std::string WornJudge::why_not(const Positions& garment, const Positions& body, double lag_m) const {
+std::string WornJudge::why_not(const Positions& garment, const Positions& body, double lag_m, std::uint64_t cut_steps,
+                               int steps) const {
   if (lag_m > kMostLag) return "the body is " + millimetres(lag_m) + " behind its motion, for cloth that it pinches";
+  if (cut_steps >= static_cast<std::uint64_t>(steps)) {
+    return std::to_string(cut_steps) + " steps had to be cut, the cloth has no room between parts of the body";
+  }
   const double slipped = (slip(garment, body) - at_first_).norm();
   if (slipped > kMostSlip) return "the garment is " + millimetres(slipped) + " from where it was worn";
   return {};

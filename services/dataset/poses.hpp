@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <cstddef>
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -43,15 +44,17 @@ class PoseJudge {
 /// Watches a worn garment frame by frame.
 class WornJudge {
  public:
-  static constexpr double kMostLag = 0.03;   ///< metres that the body may be behind its motion for cloth it pinches
+  static constexpr double kMostLag = 0.1;    ///< metres that the body may be behind its motion for cloth it pinches
   static constexpr double kMostSlip = 0.25;  ///< metres that the garment may be from where it was worn, on average
 
   /// garment: (V x 3), body: (B x 3), metres, of the first frame. O(V B).
   WornJudge(const Positions& garment, const Positions& body);
 
-  /// Why the frame makes its sequence useless; empty: it does not. The slip is between the mean of the garment and that
-  /// of the body's vertices that were nearest to it at first.
-  std::string why_not(const Positions& garment, const Positions& body, double lag_m) const;
+  /// Why the frame makes its sequence useless; empty: it does not. lag_m: how far the body is behind its motion.
+  /// cut_steps of its `steps` had to be cut: cloth of which all are has no room between parts of the body. The slip is
+  /// between the mean of the garment and that of the body's vertices that were nearest to it at first.
+  std::string why_not(const Positions& garment, const Positions& body, double lag_m, std::uint64_t cut_steps,
+                      int steps) const;
 
  private:
   Eigen::Vector3d slip(const Positions& garment, const Positions& body) const;

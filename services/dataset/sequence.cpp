@@ -138,7 +138,8 @@ SequenceReport make_sequence(const fs::path& folder, const SequencePlan& planned
     ++simulated;
     if (judge) {
       const std::string fault =
-          judge->why_not(frame.coarse.positions, frame.obstacles.front().positions, frame.report.obstacle_lag_m);
+          judge->why_not(frame.coarse.positions, frame.obstacles.front().positions, frame.report.obstacle_lag_m,
+                         frame.report.cut_steps, plan.scene.steps_per_frame);
       if (!fault.empty()) {
         report.dropped = "frame " + std::to_string(frame.coarse.index) + ": " + fault;
         drop_sequence(folder, plan, report.dropped);

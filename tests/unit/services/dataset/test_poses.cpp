@@ -97,9 +97,10 @@ TEST(WornJudge, FollowsTheBodyAndSeesWhatSlips) {
   Positions moved = body, worn = garment;
   moved.rowwise() += Eigen::RowVector3f(0, 2, 0);
   worn.rowwise() += Eigen::RowVector3f(0, 1.9f, 0);
-  EXPECT_THAT(judge.why_not(worn, moved, 0.01), IsEmpty());
-  EXPECT_THAT(judge.why_not(garment, moved, 0.01), HasSubstr("2000 mm from where it was worn"));
-  EXPECT_THAT(judge.why_not(worn, moved, 0.05), HasSubstr("50 mm behind"));
+  EXPECT_THAT(judge.why_not(worn, moved, 0.01, 1, 4), IsEmpty());
+  EXPECT_THAT(judge.why_not(garment, moved, 0.01, 0, 4), HasSubstr("2000 mm from where it was worn"));
+  EXPECT_THAT(judge.why_not(worn, moved, 0.15, 0, 4), HasSubstr("150 mm behind"));
+  EXPECT_THAT(judge.why_not(worn, moved, 0.01, 5, 4), HasSubstr("5 steps had to be cut"));
 }
 
 }  // namespace
