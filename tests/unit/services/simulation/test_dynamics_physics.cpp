@@ -181,9 +181,41 @@ TEST(Physics, MeasuredMaterialPullsAsItsEnergyAtFrozenModuli) {
       dynamics.internal_forces(x), x, [&](const Points& p) { return energy.at(p); }, 1e-4);
 }
 
-// The whole mesh's stiffness as the engine uses it. One linearised step without damping changes the velocities by
-// A dv = h F - h^2 K v with A = M + h^2 K, so that v + dv = A^-1 (M v + h F): two steps that differ in v only give
-// A^-1 M column by column.
+Dynamics::Step precise_step() {
+  Dynamics::Step step{};
+  step.length_s = 5e-3;
+  step.gravity.setZero();
+  step.wind.density = 0;
+  step.tolerance = 1e-7;
+  step.max_iterations = 2000;
+  return step;
+}
+
+// A^-1 of a step. One linearised step without damping changes the velocities by A dv = h F - h^2 K v with A = M + h^2
+// K, so that v + dv = A^-1 (M v + h F): two steps that differ in v only give A^-1 M column by column.
+Eigen::MatrixXd inverse_of_step(Dynamics& dynamics, const Points& x, ThreadPool& pool) {
+  const auto size = static_cast<Eigen::Index>(3 * x.size());
+  const Dynamics::Step step = precise_step();
+  const auto after = [&](Eigen::Index moved) {
+    Points v(x.size(), Vector3d::Zero());
+    if (moved >= 0) v[static_cast<std::size_t>(moved / 3)][moved % 3] = 1;
+    dynamics.solve(x, v, step, pool);
+    return v;
+  };
+  const Points base = after(-1);
+  Eigen::MatrixXd inverse(size, size);
+  for (Eigen::Index column = 0; column < size; ++column) {
+    const Points moved = after(column);
+    for (Eigen::Index row = 0; row < size; ++row) {
+      const auto v = static_cast<std::size_t>(row / 3);
+      inverse(row, column) =
+          (moved[v][row % 3] - base[v][row % 3]) / dynamics.masses()[static_cast<std::size_t>(column / 3)];
+    }
+  }
+  return inverse;
+}
+
+// The whole mesh's stiffness as the engine uses it.
 TEST(Physics, AssembledStiffnessIsSymmetricAndPositiveSemiDefinite) {
   for (const bool measured : {false, true}) {
     const Scene scene =
@@ -192,29 +224,8 @@ TEST(Physics, AssembledStiffnessIsSymmetricAndPositiveSemiDefinite) {
     Dynamics dynamics(scene.garment, scene);
     const Points x = crumpled(scene.garment);
     ThreadPool pool(1);
-    Dynamics::Step step{};
-    step.length_s = 5e-3;
-    step.gravity.setZero();
-    step.wind.density = 0;
-    step.tolerance = 1e-7;
-    step.max_iterations = 2000;
     const auto size = static_cast<Eigen::Index>(3 * x.size());
-    const auto after = [&](Eigen::Index moved) {
-      Points v(x.size(), Vector3d::Zero());
-      if (moved >= 0) v[static_cast<std::size_t>(moved / 3)][moved % 3] = 1;
-      dynamics.solve(x, v, step, pool);
-      return v;
-    };
-    const Points base = after(-1);
-    Eigen::MatrixXd inverse(size, size);  // A^-1
-    for (Eigen::Index column = 0; column < size; ++column) {
-      const Points moved = after(column);
-      for (Eigen::Index row = 0; row < size; ++row) {
-        const auto v = static_cast<std::size_t>(row / 3);
-        inverse(row, column) =
-            (moved[v][row % 3] - base[v][row % 3]) / dynamics.masses()[static_cast<std::size_t>(column / 3)];
-      }
-    }
+    const Eigen::MatrixXd inverse = inverse_of_step(dynamics, x, pool);
     EXPECT_LT((inverse - inverse.transpose()).norm(), 1e-4 * inverse.norm());
     // M^1/2 A^-1 M^1/2 = (1 + h^2 M^-1/2 K M^-1/2)^-1: its eigenvalues are in (0, 1], three translations are at 1.
     Eigen::VectorXd root(size);
@@ -225,6 +236,72 @@ TEST(Physics, AssembledStiffnessIsSymmetricAndPositiveSemiDefinite) {
     EXPECT_LT(values.maxCoeff(), 1 + 1e-4);
     EXPECT_NEAR(values[size - 3], 1, 1e-4);
     EXPECT_LT(values.minCoeff(), 0.5);  // the stiffness is felt
+  }
+}
+
+// Contacts of a vertex, an edge and a face with obstacles, and of cloth with cloth, by both solvers: a mesh alone, and
+// one with coarser levels.
+TEST(Physics, ContactsActAsTheirDenseMatrices) {
+  const Subdivision mesh = subdivide(irregular_sheet(3, 0.3, 0.3), 1);
+  const Scene scene = mesh_scene(mesh.fine, constant_anisotropic_material());
+  const Points x = crumpled(mesh.fine);
+  const auto size = static_cast<Eigen::Index>(3 * x.size());
+  const auto faces = [&](Eigen::Index f, int k) { return mesh.fine.faces(f, k); };
+  const auto far = static_cast<std::uint32_t>(x.size() - 1);
+  const std::vector<ContactForce> contacts = {
+      {{faces(0, 0), kNone, kNone, kNone}, {1, 0, 0, 0}, {0, 1, 0}, 0.02f, 300, 0.1f, {0.1f, -0.2f, 0}},
+      {{faces(5, 0), faces(5, 1), kNone, kNone},
+       {0.6f, 0.4f, -0.3f, -0.7f},
+       {0.6f, 0, 0.8f},
+       0.01f,
+       500,
+       0.2f,
+       {0, 0, 0.3f}},
+      {{kNone, faces(9, 0), faces(9, 1), faces(9, 2)},
+       {1, -0.2f, -0.3f, -0.5f},
+       {0, -1, 0},
+       0.03f,
+       200,
+       0.05f,
+       {0.2f, 0, 0}},
+      {{0, far, kNone, kNone}, {1, -1, 0, 0}, {0.8f, 0.6f, 0}, 0.02f, 400, 0.1f, {0, 0, 0}}};
+  for (const bool levels : {false, true}) {
+    Dynamics dynamics(mesh.fine, scene);
+    if (levels) dynamics.use_levels(mesh);
+    ThreadPool pool(1);
+    Dynamics::Step step = precise_step();
+    Points free(x.size(), Vector3d::Zero()), touched = free;
+    dynamics.solve(x, free, step, pool);
+    Eigen::MatrixXd matrix = inverse_of_step(dynamics, x, pool).inverse();
+    const auto flat = [](const Points& v) -> Eigen::VectorXd {
+      return Eigen::Map<const Eigen::VectorXd>(v[0].data(), static_cast<Eigen::Index>(3 * v.size()));
+    };
+    Eigen::VectorXd right = matrix * flat(free);
+    const double h = step.length_s;
+    for (const ContactForce& c : contacts) {
+      const Vector3d n = c.normal.cast<double>();
+      const Eigen::Matrix3d nn = n * n.transpose();
+      const Eigen::Matrix3d block = h * h * static_cast<double>(c.stiffness) * nn +
+                                    h * static_cast<double>(c.friction) * (Eigen::Matrix3d::Identity() - nn);
+      const Vector3d impulse = h * static_cast<double>(c.force) * n - block * c.approach.cast<double>();
+      for (std::size_t i = 0; i < 4; ++i) {
+        if (c.vertices[i] == kNone) continue;
+        const auto row = static_cast<Eigen::Index>(3 * c.vertices[i]);
+        right.segment<3>(row) += static_cast<double>(c.weights[i]) * impulse;
+        for (std::size_t j = 0; j < 4; ++j) {
+          if (c.vertices[j] == kNone) continue;
+          matrix.block<3, 3>(row, static_cast<Eigen::Index>(3 * c.vertices[j])) +=
+              static_cast<double>(c.weights[i]) * static_cast<double>(c.weights[j]) * block;
+        }
+      }
+    }
+    step.contacts = contacts;
+    dynamics.forget_last_change();
+    dynamics.solve(x, touched, step, pool);
+    const Eigen::VectorXd expected = matrix.partialPivLu().solve(right);
+    EXPECT_LT((flat(touched) - expected).norm(), 2e-3 * (expected - flat(free)).norm()) << levels;
+    EXPECT_GT((expected - flat(free)).norm(), 0.1 * expected.norm());
+    EXPECT_EQ(expected.size(), size);
   }
 }
 
