@@ -28,8 +28,8 @@ double dot(Float4 a, Float4 b) {
   return static_cast<double>(a[0]) * b[0] + static_cast<double>(a[1]) * b[1] + static_cast<double>(a[2]) * b[2];
 }
 
-// Takes the vertices from as many stretches in turn. A sweep over them (swept_conjugate_gradients) then seldom waits for
-// the row before.
+// Takes the vertices from as many stretches in turn. A sweep over them (swept_conjugate_gradients) then seldom waits
+// for the row before.
 void deal_out(std::vector<std::uint32_t>& vertices) {
   constexpr std::size_t kStretches = 4;
   const std::size_t length = (vertices.size() + kStretches - 1) / kStretches;

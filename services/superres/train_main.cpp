@@ -38,9 +38,8 @@ int main(int argc, char** argv) {
   app.add_option("--any-mesh", arguments.any_mesh,
                  "OLD.pt: a bundle of one mesh, written to --out so that it serves any");
   app.add_option("--out", arguments.out, "NEW.pt");
-  app.add_option(
-      "--garment", arguments.garment,
-      "MESH: the coarse mesh of OLD.pt; with --re-export, of a bundle that does not hold its rest positions yet");
+  app.add_option("--garment", arguments.garment,
+                 "MESH: the coarse mesh of OLD.pt; with --re-export, to note its rest positions");
   app.add_option("--set", arguments.changes, "KEY=VALUE: changes a key, for example losses.normal=0; may be repeated")
       ->allow_extra_args(false);
   app.add_flag("--strict", strict, "a sequence that can't be used is an error, not a warning");
