@@ -10,6 +10,7 @@
 
 #include "common/base/checks.hpp"
 #include "common/base/error.hpp"
+#include "common/base/random.hpp"
 #include "common/base/simd.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "services/fold/constraints.hpp"
@@ -28,8 +29,9 @@ using Clock = std::chrono::steady_clock;
 // By this factor of the hinges' stiffness the fine tablecloth wrinkles as one that is simulated in steps of 5 ms
 // (bench_fold_step).
 constexpr float kBending = 0.9f;
-constexpr double kMostSteps = 1000;  // in a frame: it must end
-constexpr int kPullEvery = 4;        // steps
+constexpr float kUnevenness = 5e-5f;  // m: a sheet that is exactly flat would not know where to fold
+constexpr double kMostSteps = 1000;   // in a frame: it must end
+constexpr int kPullEvery = 4;         // steps
 // What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
 // less, what is around.
 constexpr float kTangleFrequency = 60;
@@ -107,7 +109,8 @@ struct FoldStep::Work {
   std::vector<float> tangled, wider;
   std::vector<ObstaclePlane> planes;
   std::vector<Box> near_obstacles;
-  std::vector<float> touching;  // per coarse vertex: 1 on an obstacle, 0 away from all
+  std::vector<Float4> unevenness;  // per coarse vertex, where a cloth begins
+  std::vector<float> touching;     // per coarse vertex: 1 on an obstacle, 0 away from all
 
   Work(const Topology& c, const Subdivision& s, std::span<const ObstacleShape> shapes, const FoldOptions& o)
       : options((check_options(o, c), o)),
@@ -130,6 +133,12 @@ struct FoldStep::Work {
     for (Hinge& hinge : bending) hinge.stiffness *= kBending;
     hinges = HingePacks(std::move(bending), count);
     for (const float mass : masses) inverse_masses.push_back(1 / mass);
+    std::uint64_t seed = 1;
+    for (std::uint32_t i = 0; i < coarse_count; ++i) {
+      const auto some = [&] { return kUnevenness * static_cast<float>(2 * unit_interval(split_mix(seed)) - 1); };
+      const float a = some(), b = some(), c2 = some();
+      unevenness.push_back(Float4{a, b, c2, 0});
+    }
     touching.assign(coarse_count, 0);
     tangled.assign(count, 0);
     fixed.assign(count, 0);
@@ -196,6 +205,10 @@ struct FoldStep::Work {
     for (std::uint32_t i = 0; i < count; ++i) {
       x[i] = from[i];
       v[i] = way[i] / frame_s;
+      if (fixed[i] != 0) continue;
+      for (Eigen::Index k = 0; k < 3; ++k) {
+        x[i] += subdivision.barycentric(i, k) * unevenness[coarse.faces(subdivision.parent_face[i], k)];
+      }
     }
     return true;
   }
