@@ -96,22 +96,15 @@ bool ObstaclePush::apply(Positions& positions, ObstacleField& field, SelfInterse
     moved = true;
     update();
   }
-  contacts.find_penetrations(positions, field, finder, penetrating_);
-  for (int sweep = 0; sweep < kFaceSweeps && !penetrating_.empty(); ++sweep) {
-    pushed_patches_.clear();
+  for (int sweep = 0; sweep < kFaceSweeps; ++sweep) {
+    contacts.find_penetrations(positions, field, finder, penetrating_);
+    bool pushed = false;
     for (const std::uint32_t f : penetrating_) {
-      if (!field.push_face_out(positions, faces_, f, clearance)) continue;
-      for (int k = 0; k < 3; ++k) {
-        const auto patches = finder.patches_at(faces_(f, k));
-        pushed_patches_.insert(pushed_patches_.end(), patches.begin(), patches.end());
-      }
+      pushed = field.push_face_out(positions, faces_, f, clearance) || pushed;
     }
-    if (pushed_patches_.empty()) break;
-    std::sort(pushed_patches_.begin(), pushed_patches_.end());
-    pushed_patches_.erase(std::unique(pushed_patches_.begin(), pushed_patches_.end()), pushed_patches_.end());
+    if (!pushed) break;
     moved = true;
-    finder.update(positions, pushed_patches_);
-    contacts.find_penetrations_again(positions, field, finder, pushed_patches_, penetrating_);
+    update();
   }
   return moved;
 }

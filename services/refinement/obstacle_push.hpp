@@ -25,8 +25,8 @@ class ObstaclePush {
   void prepare();
 
   /// Moves every vertex that is inside an obstacle or nearer than `clearance` to it, then pushes faces out that still
-  /// reach in. finder and contacts: updated for `positions` before the call; the finder again here if anything moved.
-  /// Returns whether anything moved. Faces between obstacles that leave no room may still reach in afterwards.
+  /// reach in. finder and contacts: updated for `positions` before the call, and again here if anything moved. Returns
+  /// whether anything moved. Faces between obstacles that leave no room may still reach in afterwards.
   bool apply(Positions& positions, ObstacleField& field, SelfIntersectionFinder& finder, ClothContacts& contacts,
              double clearance);
 
@@ -39,7 +39,7 @@ class ObstaclePush {
   int rounds_;
   std::optional<SmoothingSolver> solver_;
   std::vector<VertexContact> contacts_, still_;
-  std::vector<std::uint32_t> penetrating_, pushed_patches_;
+  std::vector<std::uint32_t> penetrating_;
 };
 
 }  // namespace pleat::refinement

@@ -149,15 +149,6 @@ void SelfIntersectionFinder::update(const Positions& positions) {
   refit();
 }
 
-void SelfIntersectionFinder::update(const Positions& positions, std::span<const std::uint32_t> moved_patches) {
-  for (const std::uint32_t p : moved_patches) {
-    const auto [first, last] = patch_faces(p);
-    for (std::uint32_t f = first; f < last; ++f) boxes_[f] = face_box(positions, faces_, f);
-    fit_patch(p);
-  }
-  tree_.refit(patch_boxes_);
-}
-
 void SelfIntersectionFinder::build_incidence(Eigen::Index vertex_count) {
   std::vector<std::vector<std::uint32_t>> at(static_cast<std::size_t>(vertex_count));
   for (std::uint32_t f = 0; f < boxes_.size(); ++f) {
@@ -174,11 +165,13 @@ void SelfIntersectionFinder::build_incidence(Eigen::Index vertex_count) {
 }
 
 void SelfIntersectionFinder::update_patches(const Positions& positions, std::span<const std::uint32_t> patches) {
-  update(positions, patches);
   for (const std::uint32_t p : patches) {
     const auto [first, last] = patch_faces(p);
+    for (std::uint32_t f = first; f < last; ++f) boxes_[f] = face_box(positions, faces_, f);
     measure_normals(positions, first, last);
+    fit_patch(p);
   }
+  tree_.refit(patch_boxes_);
   corners_.clear();
   for (const std::uint32_t p : patches) {
     for (int k = 0; k < 3; ++k) {

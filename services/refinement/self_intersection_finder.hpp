@@ -33,9 +33,6 @@ class SelfIntersectionFinder {
   /// New boxes. positions: (V x 3), finite. The first call builds the tree.
   void update(const Positions& positions);
 
-  /// The same where only vertices of some patches moved since.
-  void update(const Positions& positions, std::span<const std::uint32_t> moved_patches);
-
   /// Replaces `pairs` by the intersecting pairs (first < second, ascending) of the positions of the last update. Stops
   /// after `limit` pairs and returns false if there were more; which ones are left out is not specified. Keeps its
   /// memory.
