@@ -136,8 +136,7 @@ struct FoldStep::Work {
     std::uint64_t seed = 1;
     for (std::uint32_t i = 0; i < coarse_count; ++i) {
       const auto some = [&] { return kUnevenness * static_cast<float>(2 * unit_interval(split_mix(seed)) - 1); };
-      const float a = some(), b = some(), c2 = some();
-      unevenness.push_back(Float4{a, b, c2, 0});
+      unevenness.push_back(Float4{some(), some(), some(), 0});  // in braces: from left to right
     }
     touching.assign(coarse_count, 0);
     tangled.assign(count, 0);
