@@ -16,10 +16,15 @@ using Eigen::Vector3d;
 // The cosine of the angle between a way to another layer and the layer's normal, at least: what lies beside a vertex on
 // its own layer is no other one.
 constexpr double kAcross = 0.7;
-constexpr int kMostSteps = 16;  // of a walk
+constexpr int kMostSteps = 16;      // of a walk
+constexpr float kRounding = 1e-5f;  // m: of float32, and more; nothing that is as near is left out by it
 
 Vector3d row(const Positions& positions, std::uint32_t vertex) {
   return positions.row(vertex).cast<double>().transpose();
+}
+
+Vector3d to_vector(Float4 v) {
+  return {static_cast<double>(v[0]), static_cast<double>(v[1]), static_cast<double>(v[2])};
 }
 
 }  // namespace
@@ -47,10 +52,17 @@ LayerFinder::LayerFinder(const Topology& coarse, const Subdivision& subdivision)
     }
   }
   boxes_.resize(faces);
-  normals_.resize(faces);
-  centers_.resize(faces);
-  radii_.resize(faces);
-  nearest_.resize(2 * subdivision.parent_face.size());
+  shapes_.resize(faces);
+  slots_.resize(vertices_of_.size());
+  blocks_begin_.assign(1, 0);
+  for (std::uint32_t face = 0; face < faces; ++face) {
+    const std::span<const std::uint32_t> members = vertices_of(face);
+    const std::uint32_t first = blocks_begin_.back() * static_cast<std::uint32_t>(kLanes);
+    for (std::uint32_t i = 0; i < members.size(); ++i) slots_[members[i]] = first + i;
+    blocks_begin_.push_back(blocks_begin_.back() + static_cast<std::uint32_t>((members.size() + kLanes - 1) / kLanes));
+  }
+  blocks_.resize(blocks_begin_.back());
+  nearest_.resize(blocks_.size() * kLanes);
 }
 
 // The fine face at barycentric coordinates of a coarse one, which become those in the fine face. Children of a face are
@@ -97,89 +109,137 @@ bool LayerFinder::walk(const LayerContact& contact, std::span<const Float4> fine
   return false;
 }
 
-void LayerFinder::meet(std::uint32_t vertex, std::uint32_t own, std::uint32_t face, const Vector3d& point,
-                       const Positions& coarse) {
-  const Vector3d a = row(coarse, coarse_faces_(face, 0)), b = row(coarse, coarse_faces_(face, 1)),
-                 c = row(coarse, coarse_faces_(face, 2));
-  const double plane = normals_[face].dot(point - a);
-  const bool below = plane * normals_[own].dot(normals_[face]) > 0;  // the other layer is, of the vertex's own
-  Nearest& nearest = nearest_[2 * vertex + (below ? 1 : 0)];
-  if (plane * plane > nearest.squared_distance) return;
-  // Beside the face the distance is at least that to the circle about it.
-  const double beside = (point - centers_[face]).norm() - radii_[face];
-  if (beside > 0 && plane * plane <= kAcross * kAcross * beside * beside) return;
+void LayerFinder::place_vertices(std::span<const Float4> upsampled) {
+  for (std::uint32_t face = 0; face < shapes_.size(); ++face) {
+    const std::span<const std::uint32_t> members = vertices_of(face);
+    for (std::size_t i = 0; i < members.size(); ++i) {
+      Block& block = blocks_[blocks_begin_[face] + i / kLanes];
+      const auto lane = static_cast<int>(i % kLanes);
+      block.x[lane] = upsampled[members[i]][0];
+      block.y[lane] = upsampled[members[i]][1];
+      block.z[lane] = upsampled[members[i]][2];
+    }
+  }
+}
+
+void LayerFinder::measure_faces(const Positions& coarse, float reach) {
+  for (std::size_t f = 0; f < shapes_.size(); ++f) {
+    FaceShape& shape = shapes_[f];
+    boxes_[f] = Box{};
+    shape.center = Float4{};
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint32_t corner = coarse_faces_(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(k));
+      boxes_[f].extend(row(coarse, corner), static_cast<double>(reach) / 2);
+      shape.corners[k] = to_float4(coarse.row(corner).transpose());
+      shape.center += shape.corners[k] / 3;
+    }
+    shape.normal = cross(shape.corners[1] - shape.corners[0], shape.corners[2] - shape.corners[0]);
+    const float area = std::sqrt(dot(shape.normal, shape.normal));
+    if (area > 0) shape.normal /= area;
+    shape.radius = 0;
+    for (const Float4& corner : shape.corners) {
+      const Float4 offset = corner - shape.center;
+      shape.radius = std::max(shape.radius, std::sqrt(dot(offset, offset)));
+    }
+  }
+}
+
+// The vertex of a slot and the nearest point of a face.
+void LayerFinder::meet(std::uint32_t slot, std::size_t side, std::uint32_t face) {
+  Block& block = blocks_[slot / kLanes];
+  const auto lane = static_cast<int>(slot % kLanes);
+  const Vector3d point(static_cast<double>(block.x[lane]), static_cast<double>(block.y[lane]),
+                       static_cast<double>(block.z[lane]));
+  const FaceShape& shape = shapes_[face];
+  const Vector3d a = to_vector(shape.corners[0]), b = to_vector(shape.corners[1]), c = to_vector(shape.corners[2]);
   const Vector3d weights = closest_on_triangle(point, a, b, c);
   const double distance = (point - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
+  const double plane = to_vector(shape.normal).dot(point - a);
+  Nearest& nearest = nearest_[slot][side];
   // Among equally near faces the first: the order in which they come depends on the frame that a stream began with.
   const bool nearer =
       distance < nearest.squared_distance || (distance == nearest.squared_distance && face < nearest.face);
-  if (nearer && plane * plane > kAcross * kAcross * distance) {
-    nearest = {distance, face, weights};
+  if (!nearer || plane * plane <= kAcross * kAcross * distance) return;
+  nearest = {distance, face, weights};
+  block.bound[side][lane] = static_cast<float>(std::sqrt(distance)) + kRounding;
+}
+
+// The vertices of one coarse face and the points of another one.
+void LayerFinder::meet_all(std::uint32_t own, std::uint32_t face, float reach) {
+  const FaceShape &from = shapes_[own], &to = shapes_[face];
+  // All on one side of the face's plane, and farther than the reach: most pairs whose boxes overlap.
+  float least = 1e30f, most = -1e30f;
+  for (const Float4& corner : from.corners) {
+    const float height = dot(to.normal, corner - to.corners[0]);
+    least = std::min(least, height);
+    most = std::max(most, height);
+  }
+  if (least >= reach || most <= -reach) return;
+  // All beside the face rather than across, as for a vertex below: faces around on the same layer.
+  constexpr auto kSlope = static_cast<float>(kAcross);
+  const Float4 offset = from.center - to.center;
+  const float apart = std::sqrt(dot(offset, offset)) - from.radius - to.radius;
+  if (apart > 0 && std::max(std::abs(least), std::abs(most)) <= kSlope * apart) return;
+  const float facing = dot(from.normal, to.normal);
+  for (std::uint32_t at = blocks_begin_[own]; at < blocks_begin_[own + 1]; ++at) {
+    const Block& block = blocks_[at];
+    const Float8 plane = to.normal[0] * (block.x - to.corners[0][0]) + to.normal[1] * (block.y - to.corners[0][1]) +
+                         to.normal[2] * (block.z - to.corners[0][2]);
+    const Int8 below = facing * plane > 0;  // the other layer is, of the vertex's own
+    const Float8 height = abs(plane);
+    // In the face's plane the way to the face is at least that to the circle about it.
+    const Float8 x = block.x - to.center[0], y = block.y - to.center[1], z = block.z - to.center[2];
+    const Float8 beside = max(sqrt(max(x * x + y * y + z * z - height * height, Float8{})) - to.radius, Float8{});
+    const Float8 bound = select(below, block.bound[1], block.bound[0]), squared = height * height + beside * beside;
+    const Int8 near = (squared <= bound * abs(bound)) & (height * height > kSlope * kSlope * squared);
+    const std::uint32_t is_below = bits(below);
+    for (std::uint32_t lanes = bits(near); lanes != 0; lanes &= lanes - 1) {
+      const auto lane = static_cast<std::uint32_t>(__builtin_ctz(lanes));
+      meet(at * static_cast<std::uint32_t>(kLanes) + lane, (is_below >> lane) & 1, face);
+    }
   }
 }
 
 std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::span<const Float4> upsampled,
                                                 std::span<const Float4> fine, float reach, float thickness) {
-  for (std::size_t f = 0; f < boxes_.size(); ++f) {
-    const auto face = static_cast<Eigen::Index>(f);
-    const Vector3d a = row(coarse, coarse_faces_(face, 0)), b = row(coarse, coarse_faces_(face, 1)),
-                   c = row(coarse, coarse_faces_(face, 2));
-    boxes_[f] = Box{};
-    for (const Vector3d& corner : {a, b, c}) boxes_[f].extend(corner, static_cast<double>(reach) / 2);
-    normals_[f] = (b - a).cross(c - a).stableNormalized();
-    centers_[f] = (a + b + c) / 3;
-    radii_[f] = std::sqrt(
-        std::max({(a - centers_[f]).squaredNorm(), (b - centers_[f]).squaredNorm(), (c - centers_[f]).squaredNorm()}));
-  }
+  measure_faces(coarse, reach);
+  place_vertices(upsampled);
   if (tree_.empty()) {
     tree_ = Bvh(boxes_);
   } else {
     tree_.refit(boxes_);
   }
   const double squared_reach = static_cast<double>(reach) * static_cast<double>(reach);
-  for (Nearest& nearest : nearest_) nearest = {squared_reach, kNone, Vector3d::Zero()};
-  const auto meet_all = [&](std::uint32_t of, std::uint32_t face) {
-    // All on one side of the face's plane, and farther than the reach: most pairs whose boxes overlap.
-    const Vector3d corner = row(coarse, coarse_faces_(face, 0));
-    double least = 1e300, most = -1e300;
-    for (int k = 0; k < 3; ++k) {
-      const double height = normals_[face].dot(row(coarse, coarse_faces_(of, k)) - corner);
-      least = std::min(least, height);
-      most = std::max(most, height);
+  for (auto& sides : nearest_) sides.fill({squared_reach, kNone, Vector3d::Zero()});
+  for (std::uint32_t face = 0; face < shapes_.size(); ++face) {
+    const std::size_t members = vertices_of(face).size();
+    for (std::size_t i = 0; i < (members + kLanes - 1) / kLanes * kLanes; ++i) {
+      for (Float8& bound : blocks_[blocks_begin_[face] + i / kLanes].bound) {
+        bound[static_cast<int>(i % kLanes)] = i < members ? reach : -1;
+      }
     }
-    if (least >= static_cast<double>(reach) || most <= -static_cast<double>(reach)) return;
-    // All beside the face rather than across, as meet() has it for a vertex: faces around on the same layer.
-    const double beside = (centers_[of] - centers_[face]).norm() - radii_[of] - radii_[face];
-    const double across = std::max(std::abs(least), std::abs(most));
-    if (beside > 0 && across <= kAcross * beside) return;
-    for (const std::uint32_t v : vertices_of(of)) {
-      const Float4 p = upsampled[v];
-      meet(v, of, face, {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])}, coarse);
-    }
-  };
+  }
   tree_.visit_self_pairs([&](std::uint32_t f, std::uint32_t g) {
     for (int i = 0; i < 3; ++i) {
       for (int j = 0; j < 3; ++j) {
         if (coarse_faces_(f, i) == coarse_faces_(g, j)) return true;
       }
     }
-    meet_all(f, g);
-    meet_all(g, f);
+    meet_all(f, g, reach);
+    meet_all(g, f, reach);
     return true;
   });
   contacts_.clear();
-  for (std::uint32_t k = 0; k < nearest_.size(); ++k) {
-    const Nearest& nearest = nearest_[k];
+  for (std::uint32_t k = 0; k < 2 * slots_.size(); ++k) {
     const std::uint32_t v = k / 2;
+    const Nearest& nearest = nearest_[slots_[v]][k % 2];
     if (nearest.face == kNone || nearest.squared_distance <= 0) continue;
     LayerContact contact{};
     contact.vertex = v;
     contact.weights = {static_cast<float>(nearest.weights[0]), static_cast<float>(nearest.weights[1]),
                        static_cast<float>(nearest.weights[2])};
-    const Float4 p = upsampled[v];
-    const Vector3d point(static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2]));
-    const bool above = normals_[nearest.face].dot(point - row(coarse, coarse_faces_(nearest.face, 0))) > 0;
-    contact.normal = to_float4(above ? normals_[nearest.face] : Vector3d(-normals_[nearest.face]));
+    const FaceShape& shape = shapes_[nearest.face];
+    contact.normal = dot(shape.normal, upsampled[v] - shape.corners[0]) > 0 ? shape.normal : -shape.normal;
     contact.gap = std::min(thickness, static_cast<float>(std::sqrt(nearest.squared_distance)));
     std::uint32_t face = descend(nearest.face, contact.weights), walked = face;
     std::array<float, 3> weights = contact.weights;

@@ -43,8 +43,10 @@ class LayerFinder {
   }
 
  private:
-  void meet(std::uint32_t vertex, std::uint32_t own, std::uint32_t face, const Eigen::Vector3d& point,
-            const Positions& coarse);
+  void place_vertices(std::span<const Float4> upsampled);
+  void measure_faces(const Positions& coarse, float reach);
+  void meet_all(std::uint32_t own, std::uint32_t face, float reach);
+  void meet(std::uint32_t slot, std::size_t side, std::uint32_t face);
   std::uint32_t descend(std::uint32_t face, std::array<float, 3>& weights) const;
   bool walk(const LayerContact& contact, std::span<const Float4> fine, std::uint32_t& face,
             std::array<float, 3>& weights) const;
@@ -55,14 +57,27 @@ class LayerFinder {
   std::vector<std::uint32_t> vertices_of_begin_, vertices_of_;  // fine vertices by coarse face
   Bvh tree_;
   std::vector<Box> boxes_;
-  std::vector<Eigen::Vector3d> normals_, centers_;
-  std::vector<double> radii_;  // of the circles about the centres that hold the faces
+  // A coarse face: its plane, and the circle about its centre that holds it.
+  struct FaceShape {
+    std::array<Float4, 3> corners;
+    Float4 normal, center;
+    float radius;
+  };
+  std::vector<FaceShape> shapes_;
+  // The vertices of a coarse face in blocks of eight lanes; a slot is a lane of a block. Lanes left over are far away.
+  struct Block {
+    Float8 x, y, z;
+    Float8 bound[2];  // how far from a plane a nearer face can be, on either side of the vertex's layer
+  };
+  std::vector<std::uint32_t> blocks_begin_;  // of a coarse face
+  std::vector<Block> blocks_;
   struct Nearest {
     double squared_distance;
     std::uint32_t face;
     Eigen::Vector3d weights;
   };
-  std::vector<Nearest> nearest_;  // per vertex on either side
+  std::vector<std::array<Nearest, 2>> nearest_;  // per slot on either side
+  std::vector<std::uint32_t> slots_;             // per vertex
   std::vector<LayerContact> contacts_;
 };
 
