@@ -38,6 +38,12 @@ struct ContactForce {
   float stiffness;           ///< N/m along the normal
   float friction;            ///< N s/m across it
   Eigen::Vector3f approach;  ///< sum of weights times velocities, obstacles included, m/s
+
+  /// What a velocity of the contact's point changes in the impulse of a step.
+  Eigen::Matrix3f velocity_block(float step_s) const {
+    const Eigen::Matrix3f nn = normal * normal.transpose();
+    return step_s * step_s * stiffness * nn + step_s * friction * (Eigen::Matrix3f::Identity() - nn);
+  }
 };
 
 /// One mesh's elastic model and its solver. The pattern of the matrix and all rest data are computed once.
@@ -93,6 +99,9 @@ class Dynamics {
   bool bursts(const Points& start, const Points& end) const;
 
  private:
+  // Vertices from which on threads pay in an iteration: over a small mesh one takes less time than waking them up.
+  static constexpr std::size_t kWorthThreads = 4 * kVertexGrain;
+
   struct Face {
     std::array<std::uint32_t, 3> v;
     TriangleRest<float> rest;
