@@ -32,11 +32,12 @@ constexpr float kBending = 0.9f;
 constexpr float kUnevenness = 5e-5f;  // m: a sheet that is exactly flat would not know where to fold
 constexpr double kMostSteps = 1000;   // in a frame: it must end
 constexpr int kPullEvery = 4;         // steps
-// What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and so does,
-// less, what is around.
+// What passes through itself goes back to the coarse cloth with this frequency (rad/s), critically damped, and is
+// smoothed; so is, less, what is around.
 constexpr float kTangleFrequency = 60;
 constexpr int kTangleRings = 3;
-constexpr float kDetailDamping = 4;  // 1/s, of motion beside the coarse cloth's
+constexpr float kTangleSmoothing = 0.2f;  // of what a vertex lacks to its neighbours' mean, in a step
+constexpr float kDetailDamping = 4;       // 1/s, of motion beside the coarse cloth's
 constexpr std::size_t kMostTangles = 20'000;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
@@ -88,6 +89,7 @@ struct FoldStep::Work {
   std::uint32_t count, coarse_count;
   int steps;
   float step_s, frame_s;
+  Float4 down;  // unit, or 0 without gravity
   refinement::ObstacleField obstacles;
   LayerFinder layers;
   refinement::SelfIntersectionFinder tangles;
@@ -121,6 +123,7 @@ struct FoldStep::Work {
         steps(static_cast<int>(std::max(std::ceil(o.frame_time_s / o.step_s - 1e-9), 1.0))),
         step_s(static_cast<float>(o.frame_time_s / steps)),
         frame_s(static_cast<float>(o.frame_time_s)),
+        down(to_float4(o.gravity.stableNormalized())),
         obstacles(shapes),
         layers(c, s),
         tangles(s.fine.faces, s.fine.vertex_count(), c.faces),
@@ -235,6 +238,16 @@ struct FoldStep::Work {
     }
   }
 
+  // What passes through itself is mostly a crumple of a few edges: it is smoothed out, without a velocity.
+  void smooth_tangles() {
+    for (std::uint32_t i = 0; i < count; ++i) {
+      if (tangled[i] == 0 || fixed[i]) continue;
+      const Float4 move = kTangleSmoothing * tangled[i] * viscosity.lack(i, x);
+      x[i] += move;
+      before[i] += move;
+    }
+  }
+
   void find_normals() {
     std::fill(normals.begin(), normals.end(), Float4{});
     const Faces& corners = subdivision.fine.faces;
@@ -253,13 +266,13 @@ struct FoldStep::Work {
   // Where the coarse cloth lies on an obstacle, it has met its friction: the fine cloth stays there with it.
   void find_touching(const Positions& frame_positions) {
     std::fill(touching.begin(), touching.end(), 0.0f);
-    if (obstacles.empty()) return;
-    for (std::uint32_t c = 0; c < coarse_count; ++c) {
+    for (std::uint32_t c = 0; c < coarse_count && !obstacles.empty(); ++c) {
       const auto contact = obstacles.contact_near(frame_positions.row(c).cast<double>(), kTouchFar, kTouchFar);
       if (!contact) continue;
       touching[c] =
           static_cast<float>(std::clamp((kTouchFar - contact->distance) / (kTouchFar - kTouchNear), 0.0, 1.0));
     }
+    tracking.set_touching(touching);
   }
 
   // Of where the cloth would be at the end of the frame if it went along with the coarse one. Coarse face by coarse
@@ -362,7 +375,7 @@ struct FoldStep::Work {
           [&](std::uint32_t i) {
             return Tracking::Lack{from[i] + time * way[i] - x[i], inverse * way[i] - v[i], v[i]};
           },
-          static_cast<float>(options.frequency), static_cast<float>(kPullEvery) * step_s, touching);
+          static_cast<float>(options.frequency), static_cast<float>(kPullEvery) * step_s);
     }
     // The velocity with which a cloth without a state begins has met gravity and air in this frame already.
     const Float4 gravity = restarted ? Float4{} : to_float4(options.gravity);
@@ -391,7 +404,13 @@ struct FoldStep::Work {
     levels.solve(x);
     faces.solve(x, false);
     hinges.solve(x);
+    tracking.hold(
+        [&](std::uint32_t i) {
+          return Tracking::Lack{from[i] + end * way[i] - x[i], per_frame * way[i] - per_step * (x[i] - before[i]), {}};
+        },
+        step_s, down, x);
     for (const std::uint32_t i : pins) x[i] = from[i] + end * way[i];
+    smooth_tangles();
     sort_layers();
     keep_out();
     for (std::uint32_t i = 0; i < count; ++i) v[i] = per_step * (x[i] - before[i]);

@@ -14,8 +14,6 @@ namespace {
 // place too, with a frequency that grows to kLargeFrequency (rad/s) at kLargeLack (m). At least critically damped.
 constexpr float kLargeFrequency = 16, kLargeLack = 0.2f, kLargeDamping = 30;
 constexpr int kLargeRounds = 8;
-// Where the coarse cloth lies on an obstacle it has met the friction; critically damped.
-constexpr float kTouchFrequency = 40;  // rad/s
 
 }  // namespace
 
@@ -37,21 +35,28 @@ Tracking::Tracking(const Topology& coarse, const Subdivision& subdivision, std::
       corners_[i].share[k] = mass > 0 ? masses[i] * corners_[i].weight[k] / mass : 0;
     }
   }
-  for (auto* buffer : {&averages_, &large_, &moves_, &smoothed_}) buffer->assign(coarse_count, Float4{});
+  for (auto* buffer : {&averages_, &large_, &moves_, &smoothed_, &holds_}) buffer->assign(coarse_count, Float4{});
 }
 
 void Tracking::begin() {
   for (auto* buffer : {&averages_, &large_, &moves_}) std::fill(buffer->begin(), buffer->end(), Float4{});
 }
 
-void Tracking::finish(float frequency, float time_s, std::span<const float> touching) {
+void Tracking::set_touching(std::span<const float> touching) {
+  touching_.assign(touching.begin(), touching.end());
+  held_.clear();
+  for (std::uint32_t i = 0; i < corners_.size(); ++i) {
+    const auto& at = corners_[i].coarse;
+    if (touching_[at[0]] + touching_[at[1]] + touching_[at[2]] > 0) held_.push_back(i);
+  }
+}
+
+void Tracking::finish(float frequency, float time_s) {
   for (std::size_t c = 0; c < averages_.size(); ++c) {
     const float lack = std::sqrt(dot(averages_[c], averages_[c]));
     const float large = kLargeFrequency * std::min(1.0f, lack / kLargeLack);
-    const float touch = kTouchFrequency * touching[c];
-    const Float4 held = touch * touch * averages_[c] + 2 * touch * large_[c];
     large_[c] = large * large * averages_[c] + std::max(kLargeDamping, 2 * large) * large_[c];
-    averages_[c] = frequency * frequency * averages_[c] + held;
+    averages_[c] *= frequency * frequency;
   }
   for (int round = 0; round < kLargeRounds; ++round) {
     for (std::uint32_t c = 0; c < large_.size(); ++c) {

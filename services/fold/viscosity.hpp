@@ -22,13 +22,13 @@ class Viscosity {
   /// where this would overshoot.
   float share(float time_s) const { return std::min(rate_ * time_s, kMost); }
 
-  /// The mean of the neighbours' velocities less the vertex's own; 0 without neighbours.
-  Float4 lack(std::uint32_t vertex, std::span<const Float4> velocities) const {
+  /// The mean of the neighbours' values (velocities) less the vertex's own; 0 without neighbours.
+  Float4 lack(std::uint32_t vertex, std::span<const Float4> values) const {
     const std::span<const std::uint32_t> ring = rings_.of(vertex);
     if (ring.empty()) return Float4{};
     Float4 sum{};
-    for (const std::uint32_t r : ring) sum += velocities[r];
-    return weights_[vertex] * sum - velocities[vertex];
+    for (const std::uint32_t r : ring) sum += values[r];
+    return weights_[vertex] * sum - values[vertex];
   }
 
  private:
