@@ -22,6 +22,8 @@ constexpr std::size_t kMaxPairs = 50'000;
 constexpr std::size_t kFacesPerPair = 2;
 // Searches while weights are lowered. Every one of them lowers something, so that this is not endless anyway.
 constexpr std::size_t kMaxSearches = 200;
+// After so many the steps are twice as large, this many times.
+constexpr std::size_t kSearchesPerStep = 4, kLargestStep = 2;
 
 void check(const RefinementOptions& o) {
   const auto require = [](bool ok, const char* what) {
@@ -124,7 +126,9 @@ void Refiner::State::lower_weights(Positions& positions) {
   for (searches = 0; !offences.none() && offences.pairs.size() <= hopeless && searches < kMaxSearches; ++searches) {
     faces.assign(offences.penetrations.begin(), offences.penetrations.end());
     for (const FacePair& pair : offences.pairs) faces.insert(faces.end(), pair.begin(), pair.end());
-    if (!zones.lower(faces, step, positions)) break;
+    // What a few small steps did not undo needs more: larger ones get there in half the searches.
+    const float larger = static_cast<float>(std::size_t{1} << std::min(searches / kSearchesPerStep, kLargestStep));
+    if (!zones.lower(faces, larger * step, positions)) break;
     find_again(positions, zones.moved_patches());
   }
 }
