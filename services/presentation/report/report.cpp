@@ -70,7 +70,7 @@ nlohmann::json make_fidelity(const ReportInput& input) {
   return out;
 }
 
-constexpr std::size_t kWrinkleFrames = 60;  ///< measured at most: averaging takes some 10 ms a frame
+constexpr std::size_t kWrinkleFrames = 30;  ///< measured at most: averaging takes some 10 ms a frame
 
 nlohmann::json make_wrinkles(const ReportInput& input) {
   std::vector<std::uint32_t> features(static_cast<std::size_t>(input.coarse_topology.vertex_count()));
