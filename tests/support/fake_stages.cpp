@@ -101,7 +101,7 @@ grpc::Status serve(FakeService& fake, grpc::ServerContext* context, grpc::Server
         answer(index);
         if constexpr (requires { response.mutable_frame()->mutable_fine(); }) {
           response.mutable_frame()->mutable_fine()->mutable_positions()->Truncate(3);
-        } else if constexpr (requires { response.mutable_frame()->mutable_state(); }) {
+        } else if constexpr (requires { response.mutable_frame()->mutable_state()->mutable_positions(); }) {
           response.mutable_frame()->mutable_state()->mutable_positions()->Truncate(3);
         }
         break;
