@@ -524,42 +524,18 @@ class UsdMesh final : public AnimatedMesh {
     const bool by_vertex =
         st != nullptr && st->interpolation != "faceVarying" &&
         (st->interpolation == "vertex" || st->interpolation == "varying" || uv.size() == 2 * part.count);
-    if (uv.empty() && mesh_.without_uv.empty()) mesh_.without_uv = what;
-    const auto uv_base = static_cast<std::uint32_t>(mesh_.uv.size() / 2);
     const bool left_handed = word_of(prim, "orientation") == "leftHanded";
-    const bool turned = left_handed != (place.linear().determinant() < 0);
-
-    std::size_t corner = 0;
-    for (std::size_t f = 0; f < sizes.size(); ++f) {
-      if (sizes[f] < 3 || sizes[f] > corners.size() - corner)
-        fail(what + ": face " + std::to_string(f) + " has " + std::to_string(sizes[f]) + " corners");
-      std::vector<PolygonMesh::Corner> face;
-      for (std::uint32_t k = 0; k < sizes[f]; ++k, ++corner) {
-        const std::uint32_t vertex = corners[corner];
-        if (vertex >= part.count)
-          fail(what + ": a face names point " + std::to_string(vertex) + " of " + std::to_string(part.count));
-        PolygonMesh::Corner c{static_cast<std::uint32_t>(vertices_ + vertex), PolygonMesh::kNoUv};
-        if (!uv.empty()) {
-          const std::size_t place_of = by_vertex ? vertex : corner;
-          if (!uv_indices.empty() && place_of >= uv_indices.size())
-            fail(what + ": " + st_name + " has too few indices");
-          const std::size_t index = uv_indices.empty() ? place_of : uv_indices[place_of];
-          if (2 * index + 1 >= uv.size()) fail(what + ": " + st_name + " has no value " + std::to_string(index));
-          c.uv = uv_base + static_cast<std::uint32_t>(index);
-        }
-        if (!face.empty() && face.back().vertex == c.vertex) continue;
-        face.push_back(c);
-      }
-      if (face.size() > 1 && face.front().vertex == face.back().vertex) face.pop_back();
-      if (face.size() < 3) fail(what + ": face " + std::to_string(f) + " has fewer than 3 different corners");
-      if (turned) std::reverse(face.begin() + 1, face.end());
-      mesh_.corners.insert(mesh_.corners.end(), face.begin(), face.end());
-      mesh_.ends.push_back(mesh_.corners.size());
-      mesh_.places.push_back(static_cast<std::uint32_t>(f));
-    }
-    if (corner != corners.size()) fail(what + ": faceVertexCounts and faceVertexIndices do not belong together");
-    if (mesh_.corners.size() > kMaxCorners) throw Error(ErrorCode::kResourceExhausted, name_ + ": too many faces");
-    mesh_.uv.insert(mesh_.uv.end(), uv.begin(), uv.end());
+    append_faces(mesh_,
+                 {.file = name_,
+                  .mesh = what,
+                  .sizes = sizes,
+                  .vertices = corners,
+                  .vertex_count = part.count,
+                  .uv = uv,
+                  .uv_indices = uv_indices,
+                  .uv_by_vertex = by_vertex,
+                  .clockwise = left_handed != (place.linear().determinant() < 0)},
+                 vertices_);
     vertices_ += part.count;
     parts_.push_back(std::move(part));
   }

@@ -156,8 +156,8 @@ TEST_F(UsdText, CoordinatesByVertexAreRead) {
 TEST_F(UsdText, ALeftHandedMeshIsTurnedOver) {
   const std::string text = with("uniform bool doubleSided = 1", "uniform token orientation = \"leftHanded\"");
   const PolygonMesh mesh = open(text)->mesh();
-  EXPECT_EQ(mesh.corners[0].vertex, 0u);
-  EXPECT_EQ(mesh.corners[1].vertex, 3u);
+  EXPECT_EQ(mesh.corners[0].vertex, 3u);
+  EXPECT_EQ(mesh.corners[1].vertex, 2u);
 }
 
 TEST_F(UsdText, WhatItDoesNotReadIsNamed) {
