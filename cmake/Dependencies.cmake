@@ -73,7 +73,17 @@ if(missing_packages)
     "On Debian 12, `make setup` installs all of them.")
 endif()
 
+# Programs that link a library of ours without reading such files do without assimp: $<LINK_LIBRARY:as_needed,...>.
+set(CMAKE_LINK_LIBRARY_USING_as_needed "LINKER:--push-state,--as-needed" "<LINK_ITEM>" "LINKER:--pop-state")
+set(CMAKE_LINK_LIBRARY_USING_as_needed_SUPPORTED TRUE)
+
 # HDF5's module sets variables only; one target keeps the rest of the build uniform.
 add_library(pleat_hdf5 INTERFACE)
 target_include_directories(pleat_hdf5 SYSTEM INTERFACE ${HDF5_C_INCLUDE_DIRS} ${HDF5_INCLUDE_DIRS})
-target_link_libraries(pleat_hdf5 INTERFACE ${HDF5_C_LIBRARIES})
+# Debian's module names links in a folder of their own, which would become an rpath of what is installed.
+foreach(library ${HDF5_C_LIBRARIES})
+  if(IS_ABSOLUTE ${library} AND EXISTS ${library})
+    file(REAL_PATH ${library} library)
+  endif()
+  target_link_libraries(pleat_hdf5 INTERFACE ${library})
+endforeach()

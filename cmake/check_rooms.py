@@ -16,7 +16,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 TABLE = "cmake/rooms.txt"
 OWN = "cmake/check_rooms.py"
 MAIN_LINES = 60
-LIBRARIES = {"Eigen", "OpenMesh", "cholmod", "hdf5", "nlohmann", "CLI", "grpc", "spdlog", "openssl", "prometheus", "torch"}
+LIBRARIES = {"Eigen", "OpenMesh", "assimp", "cholmod", "hdf5", "nlohmann", "CLI", "grpc", "spdlog", "openssl", "prometheus", "torch"}
 # Folders that documents name and that only a build, a run or a user's machine makes.
 MADE = ("build/", "out/", "mine", "garment", "frames/", "/")
 # Rooms whose headers are in another namespace than pleat::NAME of their folder: what everybody has is in pleat itself.

@@ -1,11 +1,14 @@
 #include "common/mesh/animated_mesh.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <numeric>
 
 #include "common/base/error.hpp"
 #include "common/base/limits.hpp"
+#include "common/mesh/alembic.hpp"
+#include "common/mesh/fbx.hpp"
 #include "common/mesh/gltf.hpp"
 #include "common/mesh/mesh_file.hpp"
 #include "common/mesh/usd_text.hpp"
@@ -20,14 +23,16 @@ bool is_usd(const std::string& extension) { return extension == ".usda" || exten
 
 bool is_animated_mesh_file(const std::filesystem::path& path) {
   const std::string extension = lower_extension(path);
-  return is_gltf(extension) || is_usd(extension);
+  return is_gltf(extension) || is_usd(extension) || extension == ".abc" || extension == ".fbx";
 }
 
 std::unique_ptr<AnimatedMesh> open_animated_mesh(const std::filesystem::path& path) {
   const std::string extension = lower_extension(path);
   if (is_gltf(extension)) return open_gltf(path);
   if (is_usd(extension)) return open_usd_text(path);
-  throw_invalid_argument(path.string() + ": meshes with frames are read from .gltf, .glb, .usda and .usd");
+  if (extension == ".abc") return open_alembic(path);
+  if (extension == ".fbx") return open_fbx(path);
+  throw_invalid_argument(path.string() + ": meshes with frames are read from .gltf, .glb, .fbx, .abc, .usda and .usd");
 }
 
 std::vector<std::uint32_t> match_vertices(const PolygonMesh& mesh, const Topology& rest, const std::string& name) {
@@ -37,12 +42,12 @@ std::vector<std::uint32_t> match_vertices(const PolygonMesh& mesh, const Topolog
                            std::to_string(rest.vertex_count()));
   }
   std::vector<std::uint32_t> matched(vertices, 0xffffffffu);
-  bool same = mesh.corners.size() == static_cast<std::size_t>(rest.faces.size()) &&
-              mesh.ends.size() == static_cast<std::size_t>(rest.face_count());
+  const std::vector<PolygonMesh::Corner> corners = triangle_corners(mesh, name);
+  bool same = corners.size() == static_cast<std::size_t>(rest.faces.size());
   std::vector<char> taken(vertices, 0);
-  for (std::size_t i = 0; same && i < mesh.corners.size(); ++i) {
+  for (std::size_t i = 0; same && i < corners.size(); ++i) {
     std::uint32_t& match = matched[rest.faces.data()[i]];
-    const std::uint32_t vertex = mesh.corners[i].vertex;
+    const std::uint32_t vertex = corners[i].vertex;
     if (match == vertex) continue;
     same = match == 0xffffffffu && taken[vertex] == 0;
     match = vertex;
@@ -65,6 +70,14 @@ Positions MatchedFrames::positions(std::size_t frame) const {
 }
 
 namespace detail {
+
+void PointWelder::add(const float* place, std::uint32_t part, std::uint64_t motion) {
+  const auto bits = [&](int axis) { return std::uint64_t{std::bit_cast<std::uint32_t>(place[axis] + 0.0F)}; };
+  const std::array<std::uint64_t, 3> key = {bits(0) | bits(1) << 32, bits(2) | std::uint64_t{part} << 32, motion};
+  const auto [found, is_new] = number_.try_emplace(key, static_cast<std::uint32_t>(first_point_.size()));
+  if (is_new) first_point_.push_back(vertex_.size());
+  vertex_.push_back(found->second);
+}
 
 FrameTimes even_times(std::vector<double> keys, const std::string& name) {
   constexpr double kTolerance = 0.02;  // of a frame

@@ -1,8 +1,11 @@
-// Meshes with their frames in one file, as tools exchange them: glTF and USD.
+// Meshes with their frames in one file, as tools exchange them: glTF, FBX, Alembic and USD.
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -25,13 +28,15 @@ class AnimatedMesh {
   virtual Positions positions(std::size_t frame) const = 0;
 };
 
-/// Whether the file's name ends as those that open_animated_mesh reads: .gltf, .glb, .usda, .usd.
+/// Whether the file's name ends as those that open_animated_mesh reads: .gltf, .glb, .fbx, .abc, .usda, .usd.
 bool is_animated_mesh_file(const std::filesystem::path& path);
 
 /// Opens
 ///   FILE.gltf, FILE.glb   glTF 2.0: triangles, morph targets and the animation of their weights. Its exporters give a
 ///                         vertex at a seam one place for each side; places that are one in every frame become one
 ///                         vertex again. `v` of material coordinates goes up, as in OBJ
+///   FILE.fbx              the same from FBX, of any number of corners a face
+///   FILE.abc              Alembic (Ogawa): PolyMesh objects over time, moving transforms
 ///   FILE.usda, FILE.usd   USD text: the points of `Mesh` prims over time, primvars:st
 /// Frames are the key frames, which must be evenly spaced. Nodes and prims above a mesh place it; what moves as a whole
 /// or by a skeleton is refused. Throws kNotFound, kInvalidArgument (not of that format, or more than we read of it; it
@@ -57,6 +62,21 @@ class MatchedFrames {
 };
 
 namespace detail {
+
+/// Makes points that are one in every frame one vertex: exporters give a point for each side of a seam.
+class PointWelder {
+ public:
+  /// The next point: where it is, what moves it as a whole, a hash of how it moves else. Vertices are in the order of
+  /// their first points.
+  void add(const float* place, std::uint32_t part, std::uint64_t motion);
+  const std::vector<std::uint32_t>& vertex() const { return vertex_; }          ///< of each point
+  const std::vector<std::size_t>& first_point() const { return first_point_; }  ///< of each vertex
+
+ private:
+  std::map<std::array<std::uint64_t, 3>, std::uint32_t> number_;
+  std::vector<std::uint32_t> vertex_;
+  std::vector<std::size_t> first_point_;
+};
 
 /// Evenly spaced frames for key frames.
 struct FrameTimes {

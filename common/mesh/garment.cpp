@@ -56,15 +56,18 @@ void append(Rows& rows, const Rows& more) {
 }  // namespace
 
 Topology read_garment(const std::filesystem::path& path, std::vector<std::string>& notes, double scale) {
-  Topology garment = read_mesh(path, MeshUse::kGarment);
+  return made_garment(read_mesh(path, MeshUse::kGarment), path.string(), notes, scale);
+}
+
+Topology made_garment(Topology garment, const std::string& name, std::vector<std::string>& notes, double scale) {
   if (!(scale > 0) || !std::isfinite(scale)) throw_invalid_argument("scale " + number(scale) + ": must be positive");
   if (scale != 1) {
     const bool same_unit = garment.uv_faces.rows() > 0 && !is_far(material_ratios(garment).median);
     garment.rest_positions *= static_cast<float>(scale);
     if (same_unit) garment.uv *= static_cast<float>(scale);
   }
-  prepare_garment(garment, path.string(), notes);
-  note_size(garment, path.string(), notes);
+  prepare_garment(garment, name, notes);
+  note_size(garment, name, notes);
   return garment;
 }
 

@@ -13,6 +13,9 @@ namespace pleat {
 /// are in the same unit. `notes` gets a line for each change and for an unusual size. Throws as both.
 Topology read_garment(const std::filesystem::path& path, std::vector<std::string>& notes, double scale = 1);
 
+/// The same of a mesh that was read already; `name` goes before messages.
+Topology made_garment(Topology garment, const std::string& name, std::vector<std::string>& notes, double scale = 1);
+
 /// Several garments as one mesh of as many pieces: vertices and faces of the first, then of the next; the material
 /// coordinates of every one lie beside those before it, at larger u. Throws std::out_of_range if there are none.
 Topology join_garments(const std::vector<Topology>& garments);

@@ -589,9 +589,8 @@ class GltfMesh final : public AnimatedMesh {
 
   /// Points that are one in every frame become one vertex, in the order of the points.
   void weld() {
-    std::vector<std::array<std::uint64_t, 4>> keys;
-    for (std::size_t p = 0; p < primitives_.size(); ++p) {
-      const Primitive& primitive = primitives_[p];
+    detail::PointWelder welder;
+    for (const Primitive& primitive : primitives_) {
       const std::size_t points = primitive.base.size() / 3;
       std::vector<Hash> motion(points);
       for (std::size_t k = 0; k < primitive.targets.size(); ++k) {
@@ -601,22 +600,11 @@ class GltfMesh final : public AnimatedMesh {
         for (std::size_t i = 0; i < points; ++i)
           motion[i].add({reinterpret_cast<const char*>(target.data() + 3 * i), 3 * sizeof(float)});
       }
-      for (std::size_t i = 0; i < points; ++i) {
-        std::array<std::uint64_t, 4> key{};
-        for (std::size_t axis = 0; axis < 3; ++axis)
-          key[axis] = std::bit_cast<std::uint32_t>(primitive.base[3 * i + axis] + 0.0F);
-        key[2] |= static_cast<std::uint64_t>(primitive.node) << 32;
-        key[3] = motion[i].value();
-        keys.push_back(key);
-      }
+      for (std::size_t i = 0; i < points; ++i)
+        welder.add(primitive.base.data() + 3 * i, static_cast<std::uint32_t>(primitive.node), motion[i].value());
     }
-    std::map<std::array<std::uint64_t, 4>, std::uint32_t> number;
-    std::vector<std::uint32_t> vertex(points_);
-    for (std::size_t i = 0; i < points_; ++i) {
-      const auto [found, is_new] = number.try_emplace(keys[i], static_cast<std::uint32_t>(first_point_.size()));
-      if (is_new) first_point_.push_back(i);
-      vertex[i] = found->second;
-    }
+    const std::vector<std::uint32_t>& vertex = welder.vertex();
+    first_point_ = welder.first_point();
     std::map<std::pair<std::uint32_t, std::array<float, 2>>, std::uint32_t> places;
     for (std::size_t i = 0; i < corners_.size(); i += 3) {
       const std::array<std::uint32_t, 3> face = {vertex[corners_[i]], vertex[corners_[i + 1]], vertex[corners_[i + 2]]};

@@ -13,7 +13,7 @@ namespace {
 [[noreturn]] void refuse(const std::filesystem::path& path) {
   std::error_code ignored;
   if (!std::filesystem::exists(path, ignored)) throw_not_found(path.string() + ": no such file");
-  throw_invalid_argument(path.string() + ": meshes are read from .obj, .ply, .gltf, .glb and .usda");
+  throw_invalid_argument(path.string() + ": meshes are read from .obj, .ply, .gltf, .glb, .fbx, .abc and .usda");
 }
 
 }  // namespace

@@ -123,7 +123,7 @@ std::vector<Command> add_body(CLI::App& root) {
   CLI::App* app = root.add_subcommand("body", "a rigged character and a motion to the animated mesh of a scene");
   const auto options = std::make_shared<BodyOptions>();
   body::MotionOptions& motion = options->motion;
-  app->add_option("body", options->source.body, "skinned mesh with a skeleton: glTF, GLB or Collada")->required();
+  app->add_option("body", options->source.body, "skinned mesh with a skeleton: glTF, FBX or Collada")->required();
   app->add_option("motion", options->source.motion,
                   "BVH, AMC (with its ASF beside it), or a file with an animation (default: the body's own)");
   app->add_option("--out", options->out,

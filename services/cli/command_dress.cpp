@@ -108,7 +108,7 @@ std::vector<Command> add_dress(CLI::App& root) {
   app->add_option("garment", options->garments,
                   "garments with material coordinates, about where they are worn; several: the innermost first")
       ->required();
-  app->add_option("--body", options->source.body, "skinned mesh with a skeleton in T or A pose: glTF, GLB or Collada")
+  app->add_option("--body", options->source.body, "skinned mesh with a skeleton in T or A pose: glTF, FBX or Collada")
       ->required();
   app->add_option("--out", options->out, "FILE.obj; a folder where there are several garments")->required();
   app->add_option(

@@ -36,18 +36,18 @@ def main():
         subprocess.run(["blender", "--background", "--factory-startup", "--python-exit-code", "1", "--python", script,
                         "--", folder], check=True, timeout=200, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         truth = np.array(json.loads((folder / "truth.json").read_text()))
-        kind = "glb"
-        out = folder / f"{kind}.h5"
-        said = subprocess.run([pleat, "body", folder / f"character.{kind}", "--out", out, "--frame-time", str(1 / 24),
-                               "--ease", "0", "--smooth", "0", "--keep-place"], check=True, timeout=60,
-                              capture_output=True, text=True).stdout
-        with h5py.File(out) as file:
-            ours = file["positions"][:]
-        worst = worst_distance(ours, truth)
-        print(f"{kind}: {len(ours)} frames of {ours.shape[1]} vertices, {worst * 1000:.3f} mm\n{said}")
-        assert len(ours) == len(truth), f"{kind}: {len(ours)} frames, Blender has {len(truth)}"
-        assert ours.shape[1] == truth.shape[1], f"{kind}: {ours.shape[1]} vertices, Blender has {truth.shape[1]}"
-        assert worst < TOLERANCE_M, f"{kind}: {worst} m from Blender's"
+        for kind in ("glb", "fbx"):
+            out = folder / f"{kind}.h5"
+            said = subprocess.run([pleat, "body", folder / f"character.{kind}", "--out", out, "--frame-time", str(1 / 24),
+                                   "--ease", "0", "--smooth", "0", "--keep-place"], check=True, timeout=60,
+                                  capture_output=True, text=True).stdout
+            with h5py.File(out) as file:
+                ours = file["positions"][:]
+            worst = worst_distance(ours, truth)
+            print(f"{kind}: {len(ours)} frames of {ours.shape[1]} vertices, {worst * 1000:.3f} mm\n{said}")
+            assert len(ours) == len(truth), f"{kind}: {len(ours)} frames, Blender has {len(truth)}"
+            assert ours.shape[1] == truth.shape[1], f"{kind}: {ours.shape[1]} vertices, Blender has {truth.shape[1]}"
+            assert worst < TOLERANCE_M, f"{kind}: {worst} m from Blender's"
 
 
 if __name__ == "__main__":

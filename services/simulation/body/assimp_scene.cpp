@@ -17,45 +17,7 @@ using Eigen::Vector3d;
 constexpr double kSlowestRate = 30;     // samples a second
 constexpr double kTicksPerSecond = 25;  // where the file does not say, as assimp's documentation has it
 
-Vector3d to_vector(const aiVector3D& v) { return {v.x, v.y, v.z}; }
-Quaterniond to_quaternion(const aiQuaternion& q) { return {q.w, q.x, q.y, q.z}; }
-
-/// The keys around a time, and how far between them it is.
-template <typename Key>
-double find_keys(const Key* keys, unsigned count, double ticks, const Key*& before, const Key*& after) {
-  const Key* next = std::upper_bound(keys, keys + count, ticks, [](double t, const Key& key) { return t < key.mTime; });
-  before = next == keys ? keys : next - 1;
-  after = next == keys + count ? keys + count - 1 : next;
-  const double span = after->mTime - before->mTime;
-  return span > 0 ? (ticks - before->mTime) / span : 0;
-}
-
-Vector3d vector_at(const aiVectorKey* keys, unsigned count, double ticks, const Vector3d& otherwise) {
-  if (count == 0) return otherwise;
-  const aiVectorKey *before = nullptr, *after = nullptr;
-  const double fraction = find_keys(keys, count, ticks, before, after);
-  return (1 - fraction) * to_vector(before->mValue) + fraction * to_vector(after->mValue);
-}
-
-Affine3d channel_at(const aiNodeAnim& channel, double ticks) {
-  Affine3d local = Affine3d::Identity();
-  local.translate(vector_at(channel.mPositionKeys, channel.mNumPositionKeys, ticks, Vector3d::Zero()));
-  if (channel.mNumRotationKeys > 0) {
-    const aiQuatKey *before = nullptr, *after = nullptr;
-    const double fraction = find_keys(channel.mRotationKeys, channel.mNumRotationKeys, ticks, before, after);
-    local.rotate(to_quaternion(before->mValue).normalized().slerp(fraction, to_quaternion(after->mValue).normalized()));
-  }
-  local.scale(vector_at(channel.mScalingKeys, channel.mNumScalingKeys, ticks, Vector3d::Ones()));
-  return local;
-}
-
 }  // namespace
-
-Affine3d to_affine(const aiMatrix4x4& m) {
-  Affine3d result = Affine3d::Identity();
-  result.matrix().topRows<3>() << m.a1, m.a2, m.a3, m.a4, m.b1, m.b2, m.b3, m.b4, m.c1, m.c2, m.c3, m.c4;
-  return result;
-}
 
 RigidTransform to_rigid(const Affine3d& transform) {
   // rotation() is the nearest rotation: an SVD, which values that are not finite must not reach.
@@ -65,10 +27,10 @@ RigidTransform to_rigid(const Affine3d& transform) {
 }
 
 AssimpJoints::AssimpJoints(const aiScene& scene, const std::string& source) {
-  std::set<std::string> wanted;
+  std::set<std::string> bones;
   for (unsigned m = 0; m < scene.mNumMeshes; ++m)
-    for (unsigned b = 0; b < scene.mMeshes[m]->mNumBones; ++b)
-      wanted.insert(scene.mMeshes[m]->mBones[b]->mName.C_Str());
+    for (unsigned b = 0; b < scene.mMeshes[m]->mNumBones; ++b) bones.insert(scene.mMeshes[m]->mBones[b]->mName.C_Str());
+  std::set<std::string> wanted = bones;
   for (unsigned a = 0; a < scene.mNumAnimations; ++a) {
     auto& channels = channels_[scene.mAnimations[a]];
     for (unsigned c = 0; c < scene.mAnimations[a]->mNumChannels; ++c) {
@@ -85,7 +47,8 @@ AssimpJoints::AssimpJoints(const aiScene& scene, const std::string& source) {
       above = nodes_[static_cast<std::size_t>(above)].parent;
     const int parent = above < 0 ? -1 : nodes_[static_cast<std::size_t>(above)].joint;
     const std::string name = node->mName.C_Str();
-    if (wanted.contains(name) || (parent >= 0 && node->mNumMeshes == 0)) {
+    const bool placement = parent < 0 && !bones.contains(name) && only_places(*node);
+    if ((wanted.contains(name) && !placement) || (parent >= 0 && node->mNumMeshes == 0)) {
       nodes_[n].joint = static_cast<int>(joints_.size());
       joints_.push_back({name, parent});
       if (!by_name_.emplace(name, nodes_[n].joint).second)
@@ -93,6 +56,21 @@ AssimpJoints::AssimpJoints(const aiScene& scene, const std::string& source) {
     }
     for (unsigned c = 0; c < node->mNumChildren; ++c) nodes_.push_back({node->mChildren[c], static_cast<int>(n), -1});
   }
+}
+
+/// FBX has keys for every node: one that stands still above joints that go somewhere is where they are, no joint.
+bool AssimpJoints::only_places(const aiNode& node) const {
+  return std::any_of(channels_.begin(), channels_.end(), [&](const auto& animation) {
+    const auto own = animation.second.find(node.mName.C_Str());
+    if (own != animation.second.end() && (keys_change(own->second->mPositionKeys, own->second->mNumPositionKeys) ||
+                                          keys_change(own->second->mRotationKeys, own->second->mNumRotationKeys)))
+      return false;
+    return std::any_of(node.mChildren, node.mChildren + node.mNumChildren, [&](const aiNode* child) {
+      const auto channel = animation.second.find(child->mName.C_Str());
+      return channel != animation.second.end() &&
+             keys_change(channel->second->mPositionKeys, channel->second->mNumPositionKeys);
+    });
+  });
 }
 
 int AssimpJoints::find(const std::string& name) const {
@@ -108,7 +86,7 @@ std::vector<Affine3d> AssimpJoints::world(const aiAnimation* animation, double t
     Affine3d local = to_affine(node.node->mTransformation);
     if (channels != nullptr) {
       const auto channel = channels->find(node.node->mName.C_Str());
-      if (channel != channels->end()) local = channel_at(*channel->second, ticks);
+      if (channel != channels->end()) local = transform_at(*channel->second, ticks);
     }
     nodes[n] = node.parent < 0 ? local : nodes[static_cast<std::size_t>(node.parent)] * local;
     if (node.joint >= 0) joints[static_cast<std::size_t>(node.joint)] = nodes[n];

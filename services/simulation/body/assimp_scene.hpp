@@ -8,11 +8,11 @@
 #include <string>
 #include <vector>
 
+#include "common/mesh/assimp_nodes.hpp"
 #include "services/simulation/body/motion.hpp"
 
 namespace pleat::body {
 
-Eigen::Affine3d to_affine(const aiMatrix4x4& matrix);
 RigidTransform to_rigid(const Eigen::Affine3d& transform);
 
 /// The nodes of a scene that are joints: bones of meshes, nodes that are animated, and nodes without a mesh below them.
@@ -44,6 +44,7 @@ class AssimpJoints {
     int parent = -1;
   };
   std::vector<Eigen::Affine3d> world(const aiAnimation* animation, double ticks) const;
+  bool only_places(const aiNode& node) const;
 
   std::vector<Node> nodes_;
   std::vector<JointNode> joints_;

@@ -23,7 +23,6 @@ namespace fs = std::filesystem;
 using Eigen::Affine3d;
 using Eigen::Vector3d;
 
-constexpr std::uintmax_t kMaxFileBytes = 512U << 20;
 constexpr double kSmallest = 0.3, kTallest = 4.0;  // of a body, metres
 constexpr double kSameMatrix = 1e-3;               // relative
 constexpr double kScaled = 0.02;                   // a scale that an animation changes by more is worth a line
@@ -334,21 +333,10 @@ fs::path skeleton_beside(const fs::path& amc) {
 }  // namespace
 
 CharacterFile read_character_file(const fs::path& path) {
-  std::error_code failed;
-  if (!fs::is_regular_file(path, failed)) throw_not_found(path.string() + ": no such file");
-  if (fs::file_size(path, failed) > kMaxFileBytes)
-    throw Error(ErrorCode::kResourceExhausted, path.string() + ": larger than 512 MiB");
-  if (lower_extension(path) == ".fbx")
-    throw_invalid_argument(path.string() + ": FBX is not read; export the character as glTF or Collada");
   Assimp::Importer importer;
   importer.SetPropertyBool(AI_CONFIG_IMPORT_NO_SKELETON_MESHES, true);
-  const aiScene* scene = importer.ReadFile(path.string(), aiProcess_Triangulate);
-  if (scene == nullptr || scene->mRootNode == nullptr) {
-    std::string why = importer.GetErrorString();
-    std::replace(why.begin(), why.end(), '\n', ' ');
-    throw_invalid_argument(path.string() + ": can't be read: " + why);
-  }
-  return Reader(*scene, path).read();
+  importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_PRESERVE_PIVOTS, false);  // joints alone, no helpers between them
+  return Reader(read_scene(importer, path, aiProcess_Triangulate), path).read();
 }
 
 Motion read_motion(const fs::path& path, std::vector<std::string>& notes, const fs::path& asf) {

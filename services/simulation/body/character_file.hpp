@@ -1,4 +1,4 @@
-// Characters and motions from the files of other tools: glTF/GLB, Collada and BVH through assimp.
+// Characters and motions from the files of other tools: glTF/GLB, FBX, Collada and BVH through assimp.
 #pragma once
 
 #include <filesystem>

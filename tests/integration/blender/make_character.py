@@ -69,3 +69,4 @@ scene.frame_set(1)
 for item in bpy.data.objects:
     item.select_set(True)
 bpy.ops.export_scene.gltf(filepath=str(folder / "character.glb"), export_format="GLB")
+bpy.ops.export_scene.fbx(filepath=str(folder / "character.fbx"), add_leaf_bones=False, bake_anim_simplify_factor=0)
