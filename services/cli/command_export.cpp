@@ -54,12 +54,12 @@ std::vector<Command> add_export(CLI::App& root) {
   CLI::App* app = root.add_subcommand("export", "write a result as files that other tools open");
   const auto options = std::make_shared<Options>();
   app->add_option("result", options->result, "result.h5, finished or .partial")->required();
-  app->add_option(
-         "--format", options->format,
-         "obj, ply (a file a frame), pc2, mdd (point cache and OBJ), usda, usdz, glb, maps (normals and displacements "
-         "for the coarse mesh)")
+  app->add_option("--format", options->format,
+                  "obj, ply (a file a frame), pc2, mdd (point cache and OBJ), usda, usdz, glb, abc, maps (normals and "
+                  "displacements "
+                  "for the coarse mesh)")
       ->required()
-      ->check(CLI::IsMember({"obj", "ply", "pc2", "mdd", "usda", "usdz", "glb", "maps"}));
+      ->check(CLI::IsMember({"obj", "ply", "pc2", "mdd", "usda", "usdz", "glb", "abc", "maps"}));
   app->add_option("--out", options->out, "folder (default: one named after the format, beside the result)");
   app->add_option("--which", options->which, "which mesh; fine is the simulated reference")
       ->capture_default_str()

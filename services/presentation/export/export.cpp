@@ -22,7 +22,7 @@ namespace {
 constexpr std::pair<const char*, ExportFormat> kFormats[] = {
     {"obj", ExportFormat::kObj}, {"ply", ExportFormat::kPly},   {"pc2", ExportFormat::kPc2},
     {"mdd", ExportFormat::kMdd}, {"usda", ExportFormat::kUsda}, {"usdz", ExportFormat::kUsdz},
-    {"glb", ExportFormat::kGlb}, {"maps", ExportFormat::kMaps}};
+    {"glb", ExportFormat::kGlb}, {"abc", ExportFormat::kAbc},   {"maps", ExportFormat::kMaps}};
 
 /// "name.0007.obj": at least four digits, so that names sort in the order of the frames.
 std::string numbered(const std::string& name, std::size_t frame, std::size_t count, const char* ending) {
@@ -46,6 +46,9 @@ std::vector<std::filesystem::path> export_files(const ExportInput& input, Export
       break;
     case ExportFormat::kUsda:
       files.push_back(folder / (input.name + ".usda"));
+      break;
+    case ExportFormat::kAbc:
+      files.push_back(folder / (input.name + ".abc"));
       break;
     case ExportFormat::kUsdz:
       files.push_back(folder / (input.name + ".usdz"));
@@ -193,6 +196,9 @@ std::vector<std::filesystem::path> export_frames(const ExportInput& input, Expor
       break;
     case ExportFormat::kUsda:
       write_usda(files[0], input, frame);
+      break;
+    case ExportFormat::kAbc:
+      write_alembic(files[0], input, frame);
       break;
     case ExportFormat::kUsdz:
       write_usdz(files[0], input, frame);

@@ -21,10 +21,11 @@ enum class ExportFormat {
   kUsda,  ///< USD text: one mesh with time samples
   kUsdz,  ///< the same in a package
   kGlb,   ///< binary glTF: one mesh with a morph target a frame
+  kAbc,   ///< Alembic (Ogawa): one mesh with a sample a frame
   kMaps,  ///< the coarse mesh with its point cache, and what the mesh has more as images a frame (detail_maps.hpp)
 };
 
-/// "obj", "ply", "pc2", "mdd", "usda", "usdz", "glb" or "maps". Throws kInvalidArgument that lists them.
+/// "obj", "ply", "pc2", "mdd", "usda", "usdz", "glb", "abc" or "maps". Throws kInvalidArgument that lists them.
 ExportFormat parse_export_format(const std::string& name);
 
 /// The frames of one mesh.

@@ -18,6 +18,7 @@ constexpr std::string_view kMarks[] = {kObjMark,
                                        kPlyMark,
                                        kUsdMark,
                                        kImageMark,
+                                       "_ai_Description=written by Pleat",
                                        "\"generator\":\"written by Pleat\"",
                                        "comment metres, Y up\nelement vertex"};
 

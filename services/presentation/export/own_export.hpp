@@ -12,6 +12,7 @@ namespace pleat::presentation {
 /// Marks of text formats.
 inline constexpr const char* kPlyMark = "comment written by Pleat";
 inline constexpr const char* kGltfGenerator = "written by Pleat";
+inline constexpr const char* kAlembicMark = "written by Pleat";
 inline constexpr const char* kImageMark = "detail written by Pleat";
 inline constexpr const char* kUsdMark = "doc = \"written by Pleat\"";
 

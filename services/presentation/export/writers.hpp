@@ -15,6 +15,7 @@ void write_ply(const std::filesystem::path& path, const Topology& topology, cons
 void write_pc2(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 void write_mdd(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 void write_glb(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
+void write_alembic(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 void write_usdz(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 void write_usda(const std::filesystem::path& path, const ExportInput& input, const FrameSource& frame);
 

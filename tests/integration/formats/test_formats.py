@@ -52,7 +52,7 @@ def main():
             coarse = file["coarse/positions"][:]
 
         # Coarse frames go out and come back, whatever file they went through.
-        for kind in ("glb", "usda", "mdd"):
+        for kind in ("glb", "usda", "abc", "mdd"):
             run(pleat, "export", result, "--format", kind, "--which", "coarse")
             back = folder / f"back-{kind}"
             run(pleat, "enhance", "--rest", SOURCE / "deploy/garments/tablecloth.obj", "--detail", "none", "--frames",

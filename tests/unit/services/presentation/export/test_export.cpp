@@ -358,13 +358,13 @@ TEST_F(Export, AnotherUnitAxisRangeAndRateAreThoseOfTheFiles) {
   EXPECT_EQ(changed(input_, {.fps = 24}).frame_count, 2u) << "0.08 s hold 1.92 frames";
 }
 
-TEST_F(Export, OurGltfAndUsdAreReadAsTheFramesThatTheyAre) {
+TEST_F(Export, OurGltfUsdAndAlembicAreReadAsTheFramesThatTheyAre) {
   // A seam, and vertices in another order than the corners' first appearance.
   input_.topology.uv.conservativeResize(5, 2);
   input_.topology.uv.row(4) << 3, 0.25f;
   input_.topology.uv_faces(1, 1) = 4;
   input_.topology.faces << 1, 2, 0, 0, 2, 3;
-  for (const auto format : {ExportFormat::kGlb, ExportFormat::kUsda}) {
+  for (const auto format : {ExportFormat::kGlb, ExportFormat::kUsda, ExportFormat::kAbc}) {
     const fs::path file = export_frames(input_, format, folder_).at(0);
     const MatchedFrames frames(file, input_.topology);
     ASSERT_EQ(frames.frame_count(), 3u);
@@ -400,8 +400,9 @@ TEST_F(Export, BadInputIsNamedAndLeavesNoFile) {
 }
 
 TEST_F(Export, ReplacesEarlierExportsAndNothingElse) {
-  for (const auto format : {ExportFormat::kObj, ExportFormat::kPly, ExportFormat::kPc2, ExportFormat::kMdd,
-                            ExportFormat::kUsda, ExportFormat::kUsdz, ExportFormat::kGlb, ExportFormat::kMaps}) {
+  for (const auto format :
+       {ExportFormat::kObj, ExportFormat::kPly, ExportFormat::kPc2, ExportFormat::kMdd, ExportFormat::kUsda,
+        ExportFormat::kUsdz, ExportFormat::kGlb, ExportFormat::kAbc, ExportFormat::kMaps}) {
     const auto files = export_frames(input_, format, folder_);
     EXPECT_NO_THROW(export_frames(input_, format, folder_)) << static_cast<int>(format);
     for (const fs::path& file : files) {
