@@ -29,7 +29,8 @@ constexpr std::chrono::milliseconds kPatience{60'000};  // a service that is sta
 constexpr std::uint64_t kAllFrames = ~std::uint64_t{0};
 
 struct EnhanceOptions {
-  std::string rest, frames, out, model, detail, material, coordinator;
+  std::vector<std::string> frames;
+  std::string rest, out, model, detail, material, coordinator;
   std::vector<std::string> obstacles;
   double fps = 0, timeout_s = 30, scale = 1;
   bool json = false;
@@ -63,7 +64,11 @@ class StandIn {
 int enhance(EnhanceOptions options) {
   const v1::Detail detail = choose_detail(options.detail, options.model);
   std::vector<std::string> notes;
-  const Topology rest = read_garment(options.rest, notes, options.scale);
+  const presentation::RestMesh garment =
+      options.rest.empty() ? presentation::rest_of_frames(options.frames, options.scale, notes)
+                           : presentation::RestMesh{options.rest, read_garment(options.rest, notes, options.scale)};
+  const Topology& rest = garment.mesh;
+  const std::string& source = options.frames.front();
   const auto sequence = presentation::open_frame_sequence(options.frames, rest);
   if (!sequence->warning().empty()) notes.push_back(sequence->warning());
   const presentation::ObstacleInput obstacles(options.obstacles);
@@ -71,14 +76,14 @@ int enhance(EnhanceOptions options) {
   const bool own_obstacles = !options.obstacles.empty();
   const std::uint64_t end = std::min<std::uint64_t>(sequence->frame_count(), options.end);
   if (options.start >= end) {
-    throw_invalid_argument(options.frames + ": no frame from " + std::to_string(options.start) + " to " +
-                           std::to_string(end) + " of " + std::to_string(sequence->frame_count()));
+    throw_invalid_argument(source + ": no frame from " + std::to_string(options.start) + " to " + std::to_string(end) +
+                           " of " + std::to_string(sequence->frame_count()));
   }
   const std::uint64_t start = options.start, count = std::min(end - start, options.count);
   const auto frame = [&](std::uint64_t k) -> Positions {
     return static_cast<float>(options.scale) * sequence->positions(start + k);
   };
-  require_frame_of(frame(0), rest, options.frames + " frame " + std::to_string(start), options.rest);
+  require_frame_of(frame(0), rest, source + " frame " + std::to_string(start), garment.name);
   print_notes(notes);
   double frame_time = sequence->frame_time_s() > 0 ? sequence->frame_time_s() : 1 / kDefaultFramesPerSecond;
   if (options.fps > 0) frame_time = 1 / options.fps;
@@ -177,7 +182,7 @@ int enhance(EnhanceOptions options) {
     throw Error(first_error->code(), std::string("no frame could be enhanced; ") + first_error->what());
   if (launcher) launcher->stop();
   presentation::ReportSummary summary;
-  summary.title = fs::path(options.rest).stem().string();
+  summary.title = fs::path(garment.name).stem().string();
   summary.model = info.model;
   summary.device = info.device;
   summary.precision = info.precision;
@@ -192,14 +197,13 @@ int enhance(EnhanceOptions options) {
 std::vector<Command> add_enhance(CLI::App& root) {
   CLI::App* app = root.add_subcommand("enhance", "enhance coarse frames made elsewhere; leaves result.h5 and a report");
   const auto options = std::make_shared<EnhanceOptions>();
+  app->add_option("frames,--frames", options->frames,
+                  "coarse frames: mesh files, a folder of them, cloth_%04d.obj, FILE.abc, .fbx, .glb, .usda, .pc2, "
+                  ".mdd, .npy, .h5:/array, result.h5, DATASET/sequences/NAME.h5")
+      ->required();
   app->add_option("--rest", options->rest,
-                  "the coarse garment at rest, OBJ, PLY, glTF or USD text with material coordinates (vt)")
-      ->required();
-  app->add_option("--frames", options->frames,
-                  "coarse frames: folder, 'glob*.obj', cloth_%04d.obj, FILE.pc2, .mdd, .npy, .h5:/array, .glb, .usda, "
-                  "result.h5, "
-                  "DATASET/sequences/NAME.h5")
-      ->required();
+                  "the coarse garment at rest, a mesh with material coordinates (vt) (default: the frames' own, or "
+                  "FILE.obj beside FILE.pc2)");
   app->add_option("--out", options->out, "folder for result.h5, report.json, report.html and logs")->required();
   app->add_option(
       "--model", options->model,

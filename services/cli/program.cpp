@@ -15,7 +15,7 @@ constexpr const char* kDescription =
 constexpr const char* kFooter =
     "Examples:\n"
     "  pleat run draping --out out/demo\n"
-    "  pleat enhance --rest garment.obj --frames 'frames/*.obj' --out out/mine\n"
+    "  pleat enhance frames/*.obj --rest garment.obj --out out/mine\n"
     "  pleat export out/demo/result.h5 --format pc2\n"
     "\n"
     "`pleat help COMMAND` lists a command's options.\n"

@@ -151,4 +151,17 @@ std::vector<fs::path> numbered_files(const std::string& source) {
   throw_not_found(source + ": no such file or folder");
 }
 
+std::vector<fs::path> numbered_files(const std::vector<std::string>& files) {
+  std::vector<fs::path> paths;
+  for (const std::string& file : files) {
+    std::error_code ignored;
+    if (!fs::is_regular_file(file, ignored)) throw_not_found(file + ": no such file");
+    if (!is_mesh_file(file))
+      throw_invalid_argument(file +
+                             ": several files are frames of meshes, one each; caches and arrays are named alone");
+    paths.emplace_back(file);
+  }
+  return by_number(paths, "the frames");
+}
+
 }  // namespace pleat::presentation

@@ -14,4 +14,7 @@ namespace pleat::presentation {
 /// a number, two files of one number, a pattern without exactly one %d).
 std::vector<std::filesystem::path> numbered_files(const std::string& source);
 
+/// The same for files that are named one by one, as a shell does with a pattern.
+std::vector<std::filesystem::path> numbered_files(const std::vector<std::string>& files);
+
 }  // namespace pleat::presentation

@@ -285,7 +285,7 @@ std::unique_ptr<PointSequence> open_points(const std::string& source) {
   if (ending == ".mdd") return std::make_unique<MddFile>(path);
   if (ending == ".npy") return std::make_unique<NpyFile>(path);
   if (ending == ".h5" || ending == ".hdf5") return std::make_unique<ArrayFile>(path, array);
-  throw_invalid_argument(source + ": points are read from .pc2, .mdd, .npy, .h5, .glb, .gltf and .usda");
+  throw_invalid_argument(source + ": points are read from .pc2, .mdd, .npy, .h5, .glb, .gltf, .fbx, .abc and .usda");
 }
 
 }  // namespace pleat::presentation

@@ -1,9 +1,12 @@
 #include "services/presentation/input/sequence_input.hpp"
 
+#include <optional>
 #include <system_error>
+#include <utility>
 
 #include "common/base/error.hpp"
 #include "common/mesh/animated_mesh.hpp"
+#include "common/mesh/garment.hpp"
 #include "common/mesh/mesh_file.hpp"
 #include "common/store/dataset.hpp"
 #include "common/store/hdf5.hpp"
@@ -123,7 +126,53 @@ bool is_result(const fs::path& path) {
   return hdf5::File::open(path, false).has_attribute("/", "format");
 }
 
+/// The data set and the name of the sequence that the file is one of.
+std::optional<std::pair<fs::path, std::string>> sequence_of_dataset(const fs::path& path) {
+  const fs::path folder = fs::absolute(path).parent_path();
+  std::error_code ignored;
+  if (folder.filename() != "sequences" || !fs::exists(folder.parent_path() / "dataset.h5", ignored))
+    return std::nullopt;
+  fs::path name = path.filename();
+  if (lower_extension(path) == ".partial") name = name.stem();
+  return std::pair(folder.parent_path(), name.stem().string());
+}
+
+bool is_hdf5(const fs::path& path) {
+  const std::string extension = lower_extension(path);
+  return extension == ".h5" || extension == ".hdf5" || extension == ".partial";
+}
+
 }  // namespace
+
+std::unique_ptr<FrameSequence> open_frame_sequence(const std::vector<std::string>& sources, const Topology& rest) {
+  if (sources.size() > 1) return std::make_unique<MeshFiles>(numbered_files(sources), rest);
+  return open_frame_sequence(sources.empty() ? "" : sources[0], rest);
+}
+
+RestMesh rest_of_frames(const std::vector<std::string>& sources, double scale, std::vector<std::string>& notes) {
+  if (sources.empty()) throw_invalid_argument("no frames given");
+  const fs::path path = sources[0];
+  std::error_code ignored;
+  const bool is_file = fs::is_regular_file(path, ignored);
+  const auto read = [&](const fs::path& mesh) -> RestMesh {
+    Topology garment = read_mesh(mesh, MeshUse::kGarment);
+    if (garment.uv_faces.rows() == 0)
+      throw_invalid_argument(mesh.string() + ": no material coordinates; name the garment by --rest");
+    return {mesh.string(), made_garment(std::move(garment), mesh.string(), notes, scale)};
+  };
+  if (sources.size() > 1) return read(numbered_files(sources)[0]);
+  if (is_file && is_hdf5(path)) {
+    if (const auto sequence = sequence_of_dataset(path))
+      return {sources[0], made_garment(DatasetReader(sequence->first).topology().coarse, sources[0], notes, scale)};
+    if (is_result(path))
+      return {sources[0], made_garment(ResultReader(path).info().topology.coarse, sources[0], notes, scale)};
+  }
+  if (is_mesh_file(path) || !is_point_sequence(sources[0])) return read(is_file ? path : numbered_files(sources[0])[0]);
+  const fs::path beside = fs::path(path).replace_extension(".obj");
+  if (fs::is_regular_file(beside, ignored)) return read(beside);
+  throw_invalid_argument(sources[0] + ": points without faces, and no " + beside.string() +
+                         "; name the garment by --rest");
+}
 
 std::unique_ptr<FrameSequence> open_frame_sequence(const std::string& source, const Topology& rest) {
   if (source.empty()) throw_invalid_argument("no frames given");
@@ -133,22 +182,18 @@ std::unique_ptr<FrameSequence> open_frame_sequence(const std::string& source, co
   if (is_folder && fs::exists(path / "dataset.h5", ignored)) {
     throw_invalid_argument(source + ": a data set; name one of its sequences, " + source + "/sequences/NAME.h5");
   }
-  const std::string extension = lower_extension(path);
   if (!is_folder && fs::exists(path, ignored)) {
     if (is_animated_mesh_file(path)) return std::make_unique<AnimatedFile>(path, rest);
     if (is_mesh_file(path)) return std::make_unique<MeshFiles>(std::vector<fs::path>{path}, rest);
-    if (extension == ".h5" || extension == ".hdf5" || extension == ".partial") {
-      const fs::path folder = fs::absolute(path).parent_path();
-      if (folder.filename() == "sequences" && fs::exists(folder.parent_path() / "dataset.h5", ignored)) {
-        fs::path name = path.filename();
-        if (extension == ".partial") name = name.stem();
-        return std::make_unique<DatasetSequence>(folder.parent_path(), name.stem().string(), rest);
-      }
+    if (is_hdf5(path)) {
+      if (const auto sequence = sequence_of_dataset(path))
+        return std::make_unique<DatasetSequence>(sequence->first, sequence->second, rest);
       if (is_result(path)) return std::make_unique<ResultSequence>(path, rest);
     }
     if (is_point_sequence(source)) return std::make_unique<Points>(source, rest);
-    throw_invalid_argument(
-        source + ": frames are read from .obj, .ply, .glb, .gltf, .usda, .pc2, .mdd, .npy, .h5 and folders of meshes");
+    throw_invalid_argument(source +
+                           ": frames are read from .obj, .ply, .glb, .gltf, .fbx, .abc, .usda, .pc2, .mdd, .npy, .h5 "
+                           "and folders of meshes");
   }
   if (!is_folder && is_point_sequence(source)) return std::make_unique<Points>(source, rest);
   return std::make_unique<MeshFiles>(numbered_files(source), rest);

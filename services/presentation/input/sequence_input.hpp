@@ -33,12 +33,25 @@ class FrameSequence {
 /// Opens `source`, of the topology of `rest`:
 ///   a folder, a glob, a printf pattern   mesh files, one a frame (numbered_files)
 ///   FILE.obj, FILE.ply                   one frame
-///   FILE.glb, .gltf, .usda               a mesh with its frames, of any order of vertices (MatchedFrames)
+///   FILE.glb, .gltf, .fbx, .abc, .usda   a mesh with its frames, of any order of vertices (MatchedFrames)
 ///   FILE.pc2, .mdd, .npy, .h5:/array     points in the order of the rest mesh's vertices (open_points)
 ///   FILE.h5, .h5.partial                 a result (its coarse frames), a sequence of a data set
 ///                                        (DATASET/sequences/NAME.h5), else the array `positions`
 /// A mesh frame must have the faces of `rest`; the other formats its vertex count.
 /// Throws kNotFound (nothing there), kInvalidArgument (not of that format, another topology), kDataLoss (truncated).
 std::unique_ptr<FrameSequence> open_frame_sequence(const std::string& source, const Topology& rest);
+/// The same; several are mesh files, a frame each (numbered_files).
+std::unique_ptr<FrameSequence> open_frame_sequence(const std::vector<std::string>& sources, const Topology& rest);
+
+/// The garment that such frames are of, and what it is called in messages.
+struct RestMesh {
+  std::string name;
+  Topology mesh;
+};
+
+/// That of the frames themselves, for frames that nobody named a garment for: meshes with frames and mesh files are
+/// their own, results and data sets have it, beside points (FILE.pc2) lies FILE.obj. scale, notes: as read_garment.
+/// Throws as it does, and kInvalidArgument where there is none.
+RestMesh rest_of_frames(const std::vector<std::string>& sources, double scale, std::vector<std::string>& notes);
 
 }  // namespace pleat::presentation

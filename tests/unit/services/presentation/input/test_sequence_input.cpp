@@ -13,6 +13,7 @@
 #include "common/mesh/obj.hpp"
 #include "common/store/dataset.hpp"
 #include "common/store/result.hpp"
+#include "tests/support/errors.hpp"
 #include "tests/support/temporary_folder.hpp"
 
 namespace pleat::presentation {
@@ -71,6 +72,51 @@ class SequenceInput : public testing::Test {
   const fs::path folder_ = temporary_.path();
   Topology rest_ = two_triangles();
 };
+
+TEST_F(SequenceInput, FilesThatAShellListedAreInTheOrderOfTheirNumbers) {
+  std::vector<std::string> files;
+  for (const int k : {10, 11, 8, 9}) {
+    write_obj_frame("cloth" + std::to_string(k) + ".obj", k);
+    files.push_back((folder_ / ("cloth" + std::to_string(k) + ".obj")).string());
+  }
+  const auto sequence = open_frame_sequence(files, rest_);
+  ASSERT_EQ(sequence->frame_count(), 4u);
+  for (int k = 0; k < 4; ++k) EXPECT_EQ(sequence->positions(static_cast<std::size_t>(k)), frame(8 + k));
+  const auto refused = [&](const std::string& more, const char* cause) {
+    std::vector<std::string> all = files;
+    all.push_back((folder_ / more).string());
+    const Error error = test::error_of([&] { open_frame_sequence(all, rest_); });
+    EXPECT_THAT(error.what(), testing::AllOf(testing::HasSubstr(more), testing::HasSubstr(cause)));
+  };
+  refused("none.obj", "no such file");
+  std::ofstream(folder_ / "cache.pc2") << "x";
+  refused("cache.pc2", "named alone");
+  files.erase(files.begin());
+  EXPECT_THAT(test::error_of([&] { open_frame_sequence(files, rest_); }).what(),
+              testing::HasSubstr("frame 10 is missing"));
+}
+
+TEST_F(SequenceInput, FramesBringTheirGarment) {
+  std::vector<std::string> notes;
+  write_obj_frame("cloth1.obj", 1);
+  write_obj_frame("cloth2.obj", 2);
+  const RestMesh first =
+      rest_of_frames({(folder_ / "cloth2.obj").string(), (folder_ / "cloth1.obj").string()}, 1, notes);
+  EXPECT_EQ(first.mesh.rest_positions, frame(1));
+  EXPECT_EQ(first.name, (folder_ / "cloth1.obj").string());
+  EXPECT_EQ(rest_of_frames({folder_.string()}, 1, notes).mesh.faces, rest_.faces);
+  EXPECT_EQ(rest_of_frames({(folder_ / "cloth2.obj").string()}, 0.01, notes).mesh.rest_positions, 0.01F * frame(2));
+  const fs::path cache = write_pc2("cache.pc2", 1, 4, 1, std::vector<float>(12, 0));
+  EXPECT_THAT(test::error_of([&] { rest_of_frames({cache.string()}, 1, notes); }).what(), testing::HasSubstr("--rest"));
+  write_obj(folder_ / "cache.obj", rest_);
+  EXPECT_EQ(rest_of_frames({cache.string()}, 1, notes).name, (folder_ / "cache.obj").string());
+  Topology plain = rest_;
+  plain.uv.resize(0, 2);
+  plain.uv_faces.resize(0, 3);
+  write_obj(folder_ / "plain.obj", plain);
+  EXPECT_THAT(test::error_of([&] { rest_of_frames({(folder_ / "plain.obj").string()}, 1, notes); }).what(),
+              testing::HasSubstr("no material coordinates; name the garment by --rest"));
+}
 
 TEST_F(SequenceInput, ReadsAFolderInTheOrderOfItsNumbers) {
   for (const int k : {9, 11, 8, 10}) write_obj_frame("v2_cloth" + std::to_string(k) + ".obj", k);
