@@ -47,7 +47,7 @@ install: programs ## install the programs and what comes with them below PREFIX 
 	@echo "install: $(DESTDIR)$(PREFIX)/bin/pleat"
 
 deb: programs ## Debian packages of the programs, the SDK and the package for Python, in build/packages
-	@$(MAKE) --no-print-directory setup PACKAGES="dpkg-dev file"
+	@$(MAKE) --no-print-directory setup PACKAGES="dpkg-dev"
 	@cpack --config $(BUILD)/CPackConfig.cmake >$(BUILD)/cpack.log || { tail -20 $(BUILD)/cpack.log; exit 1; }
 	@ls $(BUILD)/packages/*.deb
 
