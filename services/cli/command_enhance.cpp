@@ -30,7 +30,7 @@ constexpr std::uint64_t kAllFrames = ~std::uint64_t{0};
 
 struct EnhanceOptions {
   std::vector<std::string> frames;
-  std::string rest, out, model, detail, material, coordinator;
+  std::string rest, out, up = "y", model, detail, material, coordinator;
   std::vector<std::string> obstacles;
   double fps = 0, timeout_s = 30, scale = 1;
   bool json = false;
@@ -64,14 +64,17 @@ class StandIn {
 int enhance(EnhanceOptions options) {
   const v1::Detail detail = choose_detail(options.detail, options.model);
   std::vector<std::string> notes;
-  const presentation::RestMesh garment =
+  const presentation::AxesAndUnit files{options.scale, options.up == "z"};
+  presentation::RestMesh garment =
       options.rest.empty() ? presentation::rest_of_frames(options.frames, options.scale, notes)
                            : presentation::RestMesh{options.rest, read_garment(options.rest, notes, options.scale)};
+  // Its scale is the reader's, which takes material coordinates along.
+  garment.mesh.rest_positions = presentation::AxesAndUnit{1, files.z_up}(std::move(garment.mesh.rest_positions));
   const Topology& rest = garment.mesh;
   const std::string& source = options.frames.front();
   const auto sequence = presentation::open_frame_sequence(options.frames, rest);
   if (!sequence->warning().empty()) notes.push_back(sequence->warning());
-  const presentation::ObstacleInput obstacles(options.obstacles);
+  const presentation::ObstacleInput obstacles(options.obstacles, files);
   notes.insert(notes.end(), obstacles.notes().begin(), obstacles.notes().end());
   const bool own_obstacles = !options.obstacles.empty();
   const std::uint64_t end = std::min<std::uint64_t>(sequence->frame_count(), options.end);
@@ -80,9 +83,7 @@ int enhance(EnhanceOptions options) {
                            " of " + std::to_string(sequence->frame_count()));
   }
   const std::uint64_t start = options.start, count = std::min(end - start, options.count);
-  const auto frame = [&](std::uint64_t k) -> Positions {
-    return static_cast<float>(options.scale) * sequence->positions(start + k);
-  };
+  const auto frame = [&](std::uint64_t k) { return files(sequence->positions(start + k)); };
   require_frame_of(frame(0), rest, source + " frame " + std::to_string(start), garment.name);
   print_notes(notes);
   double frame_time = sequence->frame_time_s() > 0 ? sequence->frame_time_s() : 1 / kDefaultFramesPerSecond;
@@ -225,9 +226,12 @@ std::vector<Command> add_enhance(CLI::App& root) {
       ->check(natural_number());
   app->add_option("--end", options->end, "the frame after the last (default: all)")->check(positive_number());
   app->add_option("--count", options->count, "COUNT frames at most")->check(positive_number());
-  app->add_option("--scale", options->scale, "metres per unit of the rest mesh and the frames: 0.01 for centimetres")
+  app->add_option("--scale", options->scale, "metres per unit of the files, obstacles too: 0.01 for centimetres")
       ->capture_default_str()
       ->check(positive_number());
+  app->add_option("--up", options->up, "the axis that is up in the files")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"y", "z"}));
   app->add_option("--rounds", options->rounds,
                   "rounds of subdivision from the coarse to the fine mesh (default: the bundle's)")
       ->check(CLI::Range(0, 5));

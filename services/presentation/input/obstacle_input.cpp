@@ -33,7 +33,7 @@ std::array<float, kCount> parse_numbers(const std::string& text, const char* for
 
 }  // namespace
 
-ObstacleInput::ObstacleInput(const std::vector<std::string>& texts) {
+ObstacleInput::ObstacleInput(const std::vector<std::string>& texts, const AxesAndUnit& files) : files_(files) {
   for (const std::string& text : texts) {
     Obstacle obstacle;
     std::string name = "sphere";
@@ -52,7 +52,8 @@ ObstacleInput::ObstacleInput(const std::vector<std::string>& texts) {
       const std::filesystem::path file = text.substr(0, at);
       const bool moved =
           at != std::string::npos || (is_animated_mesh_file(file) && open_animated_mesh(file)->frame_count() > 1);
-      const Topology open = read_mesh(file, MeshUse::kObstacle);
+      Topology open = read_mesh(file, MeshUse::kObstacle);
+      open.rest_positions = files(std::move(open.rest_positions));
       const Topology mesh = close_holes(open, moved, file.string(), notes_);
       obstacle.shape.faces = mesh.faces;
       obstacle.rest.positions = mesh.rest_positions;
@@ -82,7 +83,7 @@ std::vector<ObstacleFrame> ObstacleInput::at(std::size_t frame) const {
   for (const Obstacle& obstacle : obstacles_) {
     frames.push_back(obstacle.rest);
     if (obstacle.motion)
-      frames.back().positions = obstacle.motion->positions(std::min(frame, obstacle.motion->frame_count() - 1));
+      frames.back().positions = files_(obstacle.motion->positions(std::min(frame, obstacle.motion->frame_count() - 1)));
   }
   return frames;
 }

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "common/frame/frame.hpp"
+#include "services/presentation/input/axes_and_unit.hpp"
 #include "services/presentation/input/sequence_input.hpp"
 
 namespace pleat::presentation {
@@ -18,7 +19,8 @@ class ObstacleInput {
   ///   MESH.obj              a mesh at rest; what is open gets lids (close_holes)
   ///   MESH.obj@FRAMES       the same, moved: FRAMES as open_frame_sequence, the last frame stays
   /// Names are the files' or sphere, sphere2, ..., capsule, ... Throws kInvalidArgument, kNotFound; the text is named.
-  explicit ObstacleInput(const std::vector<std::string>& texts);
+  /// `files` is what meshes and their frames are in; spheres and capsules are in metres with Y up.
+  explicit ObstacleInput(const std::vector<std::string>& texts, const AxesAndUnit& files = {});
 
   /// What was changed, a line each.
   const std::vector<std::string>& notes() const { return notes_; }
@@ -32,6 +34,7 @@ class ObstacleInput {
     ObstacleFrame rest;
     std::shared_ptr<FrameSequence> motion;
   };
+  AxesAndUnit files_;
   std::vector<Obstacle> obstacles_;
   std::vector<std::string> notes_;
 };

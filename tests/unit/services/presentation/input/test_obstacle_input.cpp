@@ -51,6 +51,16 @@ TEST_F(ObstacleInputTest, ReadsCapsules) {
   EXPECT_EQ(frame[0].capsule_radii, std::vector<float>{0.25f});
 }
 
+TEST_F(ObstacleInputTest, FilesInAnotherUnitAndAxisAreTurnedIntoOurs) {
+  const std::string body = (folder_ / "body0.obj").string();
+  const ObstacleInput input({body + "@" + (folder_ / "body*.obj").string(), "sphere:1,2,3,4"}, {0.01, true});
+  // (0, 1, 0) and (0, 0, 1) of the file.
+  EXPECT_EQ(input.at(0)[0].positions.row(2), Eigen::RowVector3f(0, 0, -0.01F));
+  EXPECT_EQ(input.at(1)[0].positions.row(3), Eigen::RowVector3f(0, 0.01F, 0));
+  EXPECT_EQ(input.at(1)[0].positions.row(0), Eigen::RowVector3f(0, 0, -0.01F)) << "moved";
+  EXPECT_EQ(input.at(0)[1].center, Eigen::Vector3f(1, 2, 3)) << "metres as they are";
+}
+
 TEST_F(ObstacleInputTest, ReadsAMeshAtRestAndAMovedOne) {
   const std::string body = (folder_ / "body0.obj").string();
   const ObstacleInput input({body, body + "@" + (folder_ / "body*.obj").string()});
