@@ -2,8 +2,11 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <map>
+#include <utility>
 
 #include "common/base/error.hpp"
+#include "common/mesh/animated_mesh.hpp"
 #include "common/mesh/charts.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "common/mesh/garment.hpp"
@@ -49,6 +52,44 @@ bool is_garment(const std::string& file, Findings& findings) {
   return false;
 }
 
+/// Edges between two faces that are not neighbours in material coordinates.
+std::size_t count_seams(const Topology& garment) {
+  std::map<std::pair<std::uint32_t, std::uint32_t>, std::pair<std::uint32_t, std::uint32_t>> seen;  // by vertices: uv
+  std::size_t seams = 0;
+  for (Eigen::Index f = 0; f < garment.face_count(); ++f) {
+    for (int k = 0; k < 3; ++k) {
+      const int n = (k + 1) % 3;
+      std::pair edge{garment.faces(f, k), garment.faces(f, n)}, uv{garment.uv_faces(f, k), garment.uv_faces(f, n)};
+      if (edge.first > edge.second) {
+        std::swap(edge.first, edge.second);
+        std::swap(uv.first, uv.second);
+      }
+      const auto [other, is_new] = seen.try_emplace(edge, uv);
+      if (!is_new && other->second != uv) ++seams;
+    }
+  }
+  return seams;
+}
+
+std::string smallest_of(const std::vector<std::uint32_t>& charts) {
+  std::map<std::uint32_t, std::size_t> faces;
+  for (const std::uint32_t chart : charts) ++faces[chart];
+  std::size_t least = charts.size();
+  for (const auto& [chart, count] : faces) least = std::min(least, count);
+  return "smallest island " + std::to_string(least) + " triangles";
+}
+
+/// The frames of a file that has its mesh with them, against that mesh as it is at first.
+void check_own_frames(const std::string& file, const Topology& mesh, Findings& findings) {
+  const auto frames = open_animated_mesh(file);
+  if (frames->frame_count() == 1) return;
+  char step[32];
+  std::snprintf(step, sizeof step, "%.4g", frames->frame_time_s());
+  findings.facts.push_back(std::to_string(frames->frame_count()) + " frames, " + step + " s apart");
+  for (std::size_t k = 0; k < frames->frame_count(); ++k)
+    require_frame_of(frames->positions(k), mesh, file + " frame " + std::to_string(k), "its first frame");
+}
+
 void check_mesh(const std::string& file, const CheckOptions& options, Findings& findings) {
   const Topology mesh = read_mesh(file, MeshUse::kObstacle);
   const Connectivity connectivity = build_connectivity(mesh.vertex_count(), mesh.faces);
@@ -60,6 +101,7 @@ void check_mesh(const std::string& file, const CheckOptions& options, Findings& 
   findings.facts.push_back(rims == 0 ? "closed" : std::to_string(rims) + " edges on rims");
   const std::size_t pairs = refinement::count_self_intersections(mesh.rest_positions, mesh.faces);
   const std::string intersecting = file + ": " + std::to_string(pairs) + " pairs of faces intersect";
+  if (is_animated_mesh_file(file)) guarded(findings, [&] { check_own_frames(file, mesh, findings); });
   if (!is_garment(file, findings)) {
     if (pairs > 0) findings.notes.push_back(intersecting);
     close_holes(mesh, false, file, findings.notes);
@@ -73,6 +115,7 @@ void check_mesh(const std::string& file, const CheckOptions& options, Findings& 
     const std::vector<std::uint32_t> charts = face_charts(garment);
     char ratio[32];
     std::snprintf(ratio, sizeof ratio, "%.3g", material_ratios(garment).median);
+    findings.facts.push_back(std::to_string(count_seams(garment)) + " edges on seams, " + smallest_of(charts));
     findings.facts.push_back(std::to_string(charts.empty() ? 0 : *std::max_element(charts.begin(), charts.end()) + 1) +
                              " islands; edges are " + ratio + " times as long in space as in material coordinates");
     require_rest_lengths(garment, file);

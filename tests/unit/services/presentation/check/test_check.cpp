@@ -20,6 +20,8 @@ TEST(Check, AGoodGarmentHasFactsOnly) {
   EXPECT_THAT(findings.faults, IsEmpty());
   EXPECT_THAT(findings.notes, IsEmpty());
   EXPECT_THAT(findings.facts, Contains(HasSubstr("1 pieces")));
+  const Findings shirt = check_file(kCases + "25-shirt-with-button/shirt-button.obj");
+  EXPECT_THAT(shirt.facts, Contains(HasSubstr("edges on seams, smallest island")));
 }
 
 TEST(Check, UnitsAndLayoutsAreNamedWithWhatMendsThem) {
