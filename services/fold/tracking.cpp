@@ -14,6 +14,10 @@ namespace {
 // place too, with a frequency that grows to kLargeFrequency (rad/s) at kLargeLack (m). At least critically damped.
 constexpr float kLargeFrequency = 16, kLargeLack = 0.2f, kLargeDamping = 30;
 constexpr int kLargeRounds = 8;
+// A coarse cloth that is thrown about leaves the fine one behind, which then is too long for where it is drawn to and
+// crumples. Averages that are farther than kNear (m) follow harder, from twice that on with kFarFrequency (rad/s),
+// critically damped.
+constexpr float kNear = 0.06f, kFarFrequency = 25;
 
 }  // namespace
 
@@ -54,9 +58,12 @@ void Tracking::set_touching(std::span<const float> touching) {
 void Tracking::finish(float frequency, float time_s) {
   for (std::size_t c = 0; c < averages_.size(); ++c) {
     const float lack = std::sqrt(dot(averages_[c], averages_[c]));
+    const Float4 velocity = large_[c];
     const float large = kLargeFrequency * std::min(1.0f, lack / kLargeLack);
     large_[c] = large * large * averages_[c] + std::max(kLargeDamping, 2 * large) * large_[c];
-    averages_[c] *= frequency * frequency;
+    const float far = std::clamp(lack / kNear - 1, 0.0f, 1.0f);
+    const float own = frequency + far * std::max(0.0f, kFarFrequency - frequency);
+    averages_[c] = own * own * averages_[c] + 2 * far * own * velocity;
   }
   for (int round = 0; round < kLargeRounds; ++round) {
     for (std::uint32_t c = 0; c < large_.size(); ++c) {
