@@ -102,7 +102,7 @@ class Bake:
     def __init__(self, cloth, context):
         self.cloth, self.context = cloth, context
         self.done = self.total = self.chunks = 0
-        self.intersections = self.failed = 0
+        self.intersections = self.failed = self.unclean = 0
         self.notes = []
         self.text = "starts Pleat"
 
@@ -187,6 +187,7 @@ class Bake:
                 self.done += 1
                 self.intersections += values["self_intersections"] + values["penetrations"]
                 self.failed += "error" in values
+                self.unclean += values["input_intersects"]
             elif kind == "enhanced":
                 self.chunks += 1
             timeout = 0.0
@@ -195,6 +196,8 @@ class Bake:
         text = f"{self.done} frames"
         if self.intersections:
             text += f", {self.intersections} intersections are left"
+            if self.unclean:
+                text += f" ({self.unclean} coarse frames were not free of them: does the cloth collide with itself?)"
         if self.failed:
             text += f", {self.failed} frames could not be made"
         return "; ".join([text, *self.notes])
