@@ -84,7 +84,7 @@ class Tracking {
   // ten times its own weight and more, and gives way by weight over mass and the square of the frequency. Held as hard
   // across, cloth on arms gets too many folds.
   static constexpr float kTouchFrequency = 40;
-  static constexpr float kWeightFrequency = 120;
+  static constexpr float kWeightFrequency = 200;
 
   void begin();
   void finish(float frequency, float time_s);
