@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A film strip of a result with a body: the enhanced cloth on it, seen from where it goes along, as a PNG.
 
-    docs/images/dressed_strip.py out/dancer/result.h5 OUT.png FRAME... [--which coarse] [--size 520] [--top 0.2]
+    docs/images/dressed_strip.py out/dancer/result.h5 OUT.png FRAME... [--which coarse|fine] [--size 520] [--top 0.2]
 
 The first obstacle that is a mesh is the body. Every piece of the cloth has its own colour. Needs Debian's python3-numpy and python3-h5py.
 """
@@ -36,7 +36,7 @@ def main():
     parser.add_argument("result")
     parser.add_argument("out")
     parser.add_argument("frames", type=int, nargs="+")
-    parser.add_argument("--which", default="enhanced", choices=["enhanced", "coarse"])
+    parser.add_argument("--which", default="enhanced", choices=["enhanced", "coarse", "fine"])
     parser.add_argument("--size", type=int, default=520, help="pixels of one picture before its margins are cut")
     parser.add_argument("--top", type=float, default=0.2, help="share that is cut above; 0.43: to the waist")
     options = parser.parse_args()

@@ -130,7 +130,7 @@ FacePacks::FacePacks(std::vector<Face> faces, std::uint32_t nowhere)
   }
 }
 
-void FacePacks::set_step(std::span<const float> inverse_masses, float step_s) {
+void FacePacks::set_step(std::span<const float> inverse_masses, float step_s, float stiffness) {
   for (std::size_t p = 0; p < packs_.size(); ++p) {
     Pack& pack = packs_[p];
     for (std::size_t lane = 0; lane < members_[p].size(); ++lane) {
@@ -149,7 +149,7 @@ void FacePacks::set_step(std::span<const float> inverse_masses, float step_s) {
       pack.uu[l] = uu;
       pack.uv[l] = uv;
       pack.vv[l] = vv;
-      const float scale = face.area * step_s * step_s;
+      const float scale = stiffness * face.area * step_s * step_s;
       pack.c11[l] = scale * face.rest.c11;
       pack.c12[l] = scale * face.rest.c12;
       pack.c22[l] = scale * face.rest.c22;

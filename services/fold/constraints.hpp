@@ -50,8 +50,9 @@ class FacePacks {
   FacePacks() = default;
   FacePacks(std::vector<Face> faces, std::uint32_t nowhere);
 
-  /// inverse_masses: 1/kg per vertex, 0 where it is fixed; the time that a solve() stands for, s.
-  void set_step(std::span<const float> inverse_masses, float step_s);
+  /// inverse_masses: 1/kg per vertex, 0 where it is fixed; the time that a solve() stands for, s; what the moduli are
+  /// multiplied by.
+  void set_step(std::span<const float> inverse_masses, float step_s, float stiffness = 1);
 
   /// One pass over all faces (from lambda = 0), the three strains of each together: O(faces). `stretched_only`: of the
   /// strain its positive part, so that a face that is too short in a direction stays so.

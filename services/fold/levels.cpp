@@ -10,6 +10,9 @@ namespace pleat::fold {
 namespace {
 
 constexpr int kSmoothRounds = 3;  // of the coarsest level's moves
+// Of the coarser levels, in a cloth without handles: what bears it (an obstacle) does so in many places, and levels
+// that carry the load of all below shorten the cloth between them, which then lies in ridges.
+constexpr float kWornStiffness = 0.1f;
 
 std::uint64_t key(std::uint32_t a, std::uint32_t b) { return (std::uint64_t{std::min(a, b)} << 32) | std::max(a, b); }
 
@@ -46,10 +49,11 @@ void CoarserLevels::add_parents(const Topology& mesh, const Subdivision& subdivi
 
 void CoarserLevels::set_step(std::span<const char> fixed, float step_s) {
   fixed_.assign(fixed.begin(), fixed.end());
+  const bool hangs = std::any_of(fixed.begin(), fixed.end(), [](char f) { return f != 0; });
   for (Level& level : levels_) {
     std::vector<float> mobile(level.inverse_masses);
     for (std::uint32_t v = 0; v < level.size; ++v) mobile[v] *= fixed[v] ? 0 : 1;
-    level.faces.set_step(mobile, step_s);
+    level.faces.set_step(mobile, step_s, hangs ? 1 : kWornStiffness);
   }
 }
 

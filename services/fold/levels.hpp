@@ -18,7 +18,8 @@ class CoarserLevels {
   /// subdivision: of `coarse`, with material coordinates. No levels if it has no rounds.
   CoarserLevels(const Topology& coarse, const Subdivision& subdivision, const simulation::Material& material);
 
-  /// fixed: vertices that stay, (V_fine); the time that a solve() stands for, s.
+  /// fixed: vertices that stay, (V_fine); the time that a solve() stands for, s. Without any fixed vertex the levels
+  /// have a tenth of their stiffness.
   void set_step(std::span<const char> fixed, float step_s);
 
   /// One pass over the stretched faces of every level, the coarsest first; what that moves carries the finer vertices

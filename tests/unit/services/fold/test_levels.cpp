@@ -64,6 +64,21 @@ TEST_F(LevelsTest, FixedVerticesStayAndPullTheOthers) {
   EXPECT_LT(back, -1e-3f);
 }
 
+TEST_F(LevelsTest, WithoutHandlesTheyAreSofter) {
+  for (std::uint32_t v = 0; v < count; ++v) x[v][0] *= 1.02f;
+  const std::vector<Float4> stretched = x;
+  const auto most = [&] {
+    x = stretched;
+    float longest = 0;
+    for (const Float4& move : moves()) longest = std::max(longest, length(move));
+    return longest;
+  };
+  const float worn = most();
+  fixed[0] = 1;
+  EXPECT_LT(worn, 0.7f * most());
+  EXPECT_GT(worn, 0);
+}
+
 // What one pass finds wrong about a vertex is known to its own faces only; moved alone it would stand out as a lump.
 TEST_F(LevelsTest, MovesOfTheCoarsestLevelAreAveraged) {
   const Subdivision once = subdivide(coarse, 1);  // no other level
