@@ -129,11 +129,12 @@ class Bake:
             self.notes = opened.notes
             self.text = "frames"
             cache = os.path.join(folder, "fine.pc2")
-            cloths.show_coarse(cloth)
-            for frame in range(cloths.first_simulated(cloth, first), first):
-                scene.frame_set(frame)
-                yield
-            yield from self._frames(bridge, opened, cache, first, last)
+            with cloths.kept_simulation(cloth, self.context):
+                cloths.show_coarse(cloth)
+                for frame in range(cloths.first_simulated(cloth, first), first):
+                    scene.frame_set(frame)
+                    yield
+                yield from self._frames(bridge, opened, cache, first, last)
             cloths.play(fine, cache, first)
             done = True
         finally:

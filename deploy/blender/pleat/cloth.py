@@ -3,6 +3,7 @@
 
 import contextlib
 import os
+import re
 
 import bpy
 import numpy as np
@@ -58,6 +59,29 @@ def show_coarse(cloth):
         cloth.hide_render = True
     if cloth.display_type != "BOUNDS":
         cloth.display_type = "BOUNDS"
+
+
+def _is_whole(cache):
+    """Whether Blender has simulated all frames of the cache; it says so in words alone: "1,000 frames in memory"."""
+    known = re.match(r"([\d,.\s]+) frames", cache.info)
+    return (known is not None and "outdated" not in cache.info
+            and int(re.sub(r"\D", "", known[1])) == cache.frame_end - cache.frame_start + 1)
+
+
+@contextlib.contextmanager
+def kept_simulation(cloth, context):
+    """What was simulated as a whole is baked meanwhile, so that Blender does not forget it (show_coarse)."""
+    caches = [modifier.point_cache for modifier in cloth.modifiers if modifier.type in ("CLOTH", "SOFT_BODY")]
+    kept = [cache for cache in caches if not cache.is_baked and _is_whole(cache)]
+    for cache in kept:
+        with context.temp_override(object=cloth, point_cache=cache):
+            bpy.ops.ptcache.bake_from_cache()
+    try:
+        yield
+    finally:
+        for cache in kept:
+            with context.temp_override(object=cloth, point_cache=cache):
+                bpy.ops.ptcache.free_bake()
 
 
 def first_simulated(cloth, first):
