@@ -168,6 +168,8 @@ RestMesh rest_of_frames(const std::vector<std::string>& sources, double scale, s
       return {sources[0], made_garment(ResultReader(path).info().topology.coarse, sources[0], notes, scale)};
   }
   if (is_mesh_file(path) || !is_point_sequence(sources[0])) return read(is_file ? path : numbered_files(sources[0])[0]);
+  if (!fs::exists(path, ignored) && path.string().find(':') == std::string::npos)
+    throw_not_found(sources[0] + ": no such file");
   const fs::path beside = fs::path(path).replace_extension(".obj");
   if (fs::is_regular_file(beside, ignored)) return read(beside);
   throw_invalid_argument(sources[0] + ": points without faces, and no " + beside.string() +

@@ -108,6 +108,8 @@ TEST_F(SequenceInput, FramesBringTheirGarment) {
   EXPECT_EQ(rest_of_frames({(folder_ / "cloth2.obj").string()}, 0.01, notes).mesh.rest_positions, 0.01F * frame(2));
   const fs::path cache = write_pc2("cache.pc2", 1, 4, 1, std::vector<float>(12, 0));
   EXPECT_THAT(test::error_of([&] { rest_of_frames({cache.string()}, 1, notes); }).what(), testing::HasSubstr("--rest"));
+  EXPECT_THAT(test::error_of([&] { rest_of_frames({(folder_ / "none.pc2").string()}, 1, notes); }).what(),
+              testing::HasSubstr("none.pc2: no such file"));
   write_obj(folder_ / "cache.obj", rest_);
   EXPECT_EQ(rest_of_frames({cache.string()}, 1, notes).name, (folder_ / "cache.obj").string());
   Topology plain = rest_;
