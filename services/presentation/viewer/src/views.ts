@@ -12,6 +12,8 @@ export type ViewName = "coarse" | "enhanced" | "reference" | "map";
 const kFieldOfView = 30;
 /** Pixels at the top of a view of this height that its caption covers. */
 const captionOf = (height: number): number => Math.min(54, height / 4);
+/** And what the choice of the map takes below. */
+const footOf = (height: number): number => Math.min(44, height / 7);
 
 /** A cloth mesh whose arrays are rewritten per frame. */
 class Cloth {
@@ -336,7 +338,8 @@ export class Stage {
     const panel = this.views.find((view) => view.panel.clientHeight > 0)?.panel;
     const aspect = panel ? Math.max(1, panel.clientWidth / panel.clientHeight) : 1;
     const half = Math.tan((kFieldOfView * Math.PI) / 360);
-    const free = panel ? 1 - captionOf(panel.clientHeight) / panel.clientHeight : 1;
+    const high = panel?.clientHeight ?? 1;
+    const free = panel ? 1 - (captionOf(high) + this.foot(high)) / high : 1;
     const target = this.center.clone();
     const offset = new THREE.Vector3();
     let distance = 0;
@@ -346,8 +349,8 @@ export class Stage {
       for (const place of this.places) {
         offset.subVectors(place, target);
         const across = Math.abs(offset.dot(right)) / aspect;
-        const high = Math.abs(offset.dot(up)) / free;
-        distance = Math.max(distance, offset.dot(toEye) + Math.max(across, high) / half);
+        const upright = Math.abs(offset.dot(up)) / free;
+        distance = Math.max(distance, offset.dot(toEye) + Math.max(across, upright) / half);
       }
       if (round === 1) break;
       let [left, rightmost, bottom, top] = [Infinity, -Infinity, Infinity, -Infinity];
@@ -437,11 +440,17 @@ export class Stage {
       camera.aspect = aspect;
       const half = Math.tan((kFieldOfView * Math.PI) / 360);
       camera.fov = (2 * Math.atan(half / Math.min(1, aspect)) * 180) / Math.PI;
-      // The middle of the picture is that of what the caption leaves free.
-      camera.setViewOffset(rectangle.width, rectangle.height, 0, -captionOf(rectangle.height) / 2, rectangle.width, rectangle.height);
+      // The middle of the picture is that of what caption and foot leave free.
+      const shift = (this.foot(rectangle.height) - captionOf(rectangle.height)) / 2;
+      camera.setViewOffset(rectangle.width, rectangle.height, 0, shift, rectangle.width, rectangle.height);
       renderer.render(view.scene, camera);
     }
     camera.clearViewOffset();
+  }
+
+  /** All views stand alike: beside a map they leave its foot free, too. */
+  private foot(height: number): number {
+    return this.views.some((view) => view.name === "map") ? footOf(height) : 0;
   }
 
   /** The studio turns with the camera, so that every side is seen in light that grazes the wrinkles. */
