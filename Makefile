@@ -15,7 +15,7 @@ SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 FUZZ_SECONDS ?= 120
 CRASH_MINUTES ?= 100
 SOAK_MINUTES ?= 60
-FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine fuzz_obj fuzz_ply fuzz_points fuzz_hdf5 fuzz_scene fuzz_material fuzz_archive
+FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine fuzz_obj fuzz_ply fuzz_frames fuzz_points fuzz_hdf5 fuzz_scene fuzz_material fuzz_archive
 
 .PHONY: help setup configure build programs demo test bench lint format sanitize fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install deb python
 
