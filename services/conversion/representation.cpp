@@ -16,14 +16,16 @@ AnswerForm form_of(const GeometryImageSpec& spec, int) {
   form.scale = spec.image.scale;
   form.detail = form.own_axes = spec.layout == ImageLayout::kDetail;
   form.first_three = true;
+  form.block = form.scale * form.scale;
   if (spec.image.coarse_width > 0) form.input_size = {{spec.image.coarse_height, spec.image.coarse_width}};
   return form;
 }
 
-AnswerForm form_of(const VertexFeatureSpec&, int rounds) {
+AnswerForm form_of(const VertexFeatureSpec& spec, int rounds) {
   AnswerForm form;
   form.scale = patch_side(rounds);
-  form.detail = true;
+  form.block = patch_vertices(rounds);
+  form.detail = spec.answer == AnswerKind::kGradients;
   return form;
 }
 

@@ -36,6 +36,8 @@ struct AnswerForm {
   bool detail = false;       ///< an answer of zeros is the upsampled coarse mesh
   bool own_axes = false;     ///< its vectors are in the cloth's own axes, answer_axes() below
   bool first_three = false;  ///< decode() reads no more than the first three channels
+  int block = 1;  ///< of the scale^2 values that an answer has for a place of the input, so many mean something: the
+                  ///< first ones, row by row
   /// Height and width of what the network reads, if the spec fixes them.
   std::optional<std::array<std::int64_t, 2>> input_size;
 };

@@ -51,6 +51,20 @@ VertexFeatureSpec features_from(const v1::VertexFeatures& message) {
       throw_invalid_argument("representation.vertex_features.rotation: unknown value " +
                              std::to_string(static_cast<int>(message.rotation())));
   }
+  switch (message.answer()) {
+    case v1::VertexFeatures::ANSWER_GRADIENTS:
+      spec.answer = AnswerKind::kGradients;
+      break;
+    case v1::VertexFeatures::ANSWER_FEATURES:
+      spec.answer = AnswerKind::kFeatures;
+      break;
+    case v1::VertexFeatures::ANSWER_FEATURES_ALONE:
+      spec.answer = AnswerKind::kFeaturesAlone;
+      break;
+    default:
+      throw_invalid_argument("representation.vertex_features.answer: unknown value " +
+                             std::to_string(static_cast<int>(message.answer())));
+  }
   spec.fixed_axes = message.fixed_axes();
   if (message.has_passes()) spec.passes = extent(message.passes());
   if (message.anchor_weight() != 0) spec.anchor_weight = message.anchor_weight();

@@ -49,10 +49,11 @@ Positions aligned(const Positions& positions, const RigidTransform& alignment) {
   return (positions * alignment.rotation.transpose()).rowwise() + alignment.translation.transpose();
 }
 
-Anchors anchors_of(const Subdivision& subdivision, double weight) {
+/// Without offsets nothing but the mean of the coarse vertices is known of the place.
+Anchors anchors_of(const Subdivision& subdivision, const VertexFeatureSpec& spec) {
   Anchors anchors;
   anchors.soft = subdivision.feature_vertices;
-  anchors.weight = weight;
+  anchors.weight = spec.answer == AnswerKind::kFeaturesAlone ? 0 : spec.anchor_weight;
   return anchors;
 }
 
@@ -84,8 +85,9 @@ VertexRepresentation::VertexRepresentation(const Topology& coarse, Subdivision s
       subdivision_(std::move(subdivision)),
       extractor_(std::make_shared<OneRings>(coarse_, "coarse mesh"), checked(spec_).rotation),
       fine_rings_(std::make_shared<OneRings>(with_parents(subdivision_).fine, "fine mesh")),
+      fine_extractor_(fine_rings_, features().rotation),
       gradient_channels_(subdivision_.fine.rest_positions),
-      solver_(fine_rings_, anchors_of(subdivision_, features().anchor_weight), "fine mesh") {
+      solver_(fine_rings_, anchors_of(subdivision_, features()), "fine mesh") {
   make_places();
   make_constants();
 }
@@ -112,8 +114,13 @@ void VertexRepresentation::make_places() {
   answer_mask_.assign(vertex_at_.size(), 0);
   for (std::size_t place = 0; place < vertex_at_.size(); ++place) {
     if (vertex_at_[place] == kNone) continue;
+    auto& own = places[vertex_at_[place]];
+    if (!has_offsets() && !own.empty()) {
+      vertex_at_[place] = kNone;
+      continue;
+    }
     answer_mask_[place] = 1;
-    places[vertex_at_[place]].push_back(static_cast<std::uint32_t>(place));
+    own.push_back(static_cast<std::uint32_t>(place));
   }
   for (const auto& own : places) {
     reads_.places.insert(reads_.places.end(), own.begin(), own.end());
@@ -171,7 +178,7 @@ std::vector<std::int64_t> VertexRepresentation::input_shape() const {
 
 std::vector<std::int64_t> VertexRepresentation::answer_shape() const {
   const std::int64_t side = patch_side(spec_.subdivision.rounds);
-  return {3 + gradient_channels_.channels(), side, side * static_cast<std::int64_t>(faces())};
+  return {(has_offsets() ? 3 : 0) + shape_channels(), side, side * static_cast<std::int64_t>(faces())};
 }
 
 std::vector<std::string> VertexRepresentation::input_channels() const {
@@ -186,8 +193,12 @@ std::vector<std::string> VertexRepresentation::input_channels() const {
 }
 
 std::vector<std::string> VertexRepresentation::answer_channels() const {
-  std::vector<std::string> names = {"offset_x", "offset_y", "offset_z"};
-  for (const std::string& name : gradient_channels_.names()) names.push_back(name);
+  std::vector<std::string> names;
+  if (has_offsets()) names = {"offset_x", "offset_y", "offset_z"};
+  const bool gradients = features().answer == AnswerKind::kGradients;
+  for (const std::string& name : gradients ? gradient_channels_.names() : feature_channel_names(features().rotation)) {
+    names.push_back(name);
+  }
   return names;
 }
 
@@ -290,22 +301,50 @@ void VertexRepresentation::target(const Frame& coarse, const Frame& fine, const 
   }
   const Positions positions = aligned(fine.positions, alignment);
   const Pool<Scratch>::Lent scratch(scratch_);
-  gradient_planes(base_positions, *scratch, scratch->base);
-  gradient_planes(positions, *scratch, scratch->planes);
+  const std::vector<float>* planes = &scratch->planes;
+  if (features().answer == AnswerKind::kGradients) {
+    gradient_planes(base_positions, *scratch, scratch->base);
+    gradient_planes(positions, *scratch, scratch->planes);
+    for (std::size_t i = 0; i < scratch->planes.size(); ++i) scratch->planes[i] -= scratch->base[i];
+  } else {
+    fine_extractor_.extract(positions, 0, {}, scratch->fine);
+    planes = &scratch->fine.values;
+  }
   answer.shape = answer_shape();
   answer.channels = answer_channels();
   answer.values.assign(answer.channels.size() * answer_places(), 0);
   const auto vertices = static_cast<std::size_t>(positions.rows());
-  const auto gradients = static_cast<std::size_t>(gradient_channels_.channels());
+  const std::size_t offsets = has_offsets() ? 3 : 0;
   for (std::size_t place = 0; place < answer_places(); ++place) {
     const std::uint32_t v = vertex_at_[place];
     if (v == kNone) continue;
-    for (Eigen::Index c = 0; c < 3; ++c) {
-      answer.values[static_cast<std::size_t>(c) * answer_places() + place] = positions(v, c) - base_positions(v, c);
+    for (std::size_t c = 0; c < offsets; ++c) {
+      answer.values[c * answer_places() + place] =
+          positions(v, static_cast<Eigen::Index>(c)) - base_positions(v, static_cast<Eigen::Index>(c));
     }
-    for (std::size_t c = 0; c < gradients; ++c) {
-      answer.values[(3 + c) * answer_places() + place] =
-          scratch->planes[c * vertices + v] - scratch->base[c * vertices + v];
+    for (std::size_t c = 0; c < planes->size() / vertices; ++c) {
+      answer.values[(offsets + c) * answer_places() + place] = (*planes)[c * vertices + v];
+    }
+  }
+}
+
+int VertexRepresentation::shape_channels() const {
+  return features().answer == AnswerKind::kGradients ? gradient_channels_.channels() : fine_extractor_.channels();
+}
+
+void VertexRepresentation::read_planes(const Tensor& answer, bool add, Scratch& scratch) const {
+  const auto vertices = static_cast<std::size_t>(fine().vertex_count());
+  const std::size_t offsets = has_offsets() ? 3 : 0, channels = static_cast<std::size_t>(shape_channels());
+  if (!add) scratch.planes.assign(channels * vertices, 0);
+  const char* what = features().answer == AnswerKind::kGradients ? "gradient" : "feature";
+  for (std::size_t c = 0; c < channels; ++c) {
+    for (std::size_t v = 0; v < vertices; ++v) {
+      const float value = read(answer.values.data() + (offsets + c) * answer_places(), v);
+      if (!std::isfinite(value)) {
+        throw_invalid_argument(std::string("answer: the ") + what + " of fine vertex " + std::to_string(v) +
+                               " is not finite");
+      }
+      scratch.planes[c * vertices + v] += value;
     }
   }
 }
@@ -328,9 +367,10 @@ void VertexRepresentation::decode(const Tensor& answer, const Positions& coarse,
   check_coarse(coarse);
   base(coarse, alignment, fine);
   const auto vertices = static_cast<std::size_t>(fine.rows());
+  const bool gradients = features().answer == AnswerKind::kGradients;
   const Pool<Scratch>::Lent scratch(scratch_);
-  if (features().passes > 0) gradient_planes(fine, *scratch, scratch->planes);
-  for (std::size_t v = 0; v < vertices; ++v) {
+  if (gradients && features().passes > 0) gradient_planes(fine, *scratch, scratch->planes);
+  for (std::size_t v = 0; v < vertices && has_offsets(); ++v) {
     for (std::size_t c = 0; c < 3; ++c) {
       fine.data()[3 * v + c] += read(answer.values.data() + c * answer_places(), v);
     }
@@ -338,19 +378,20 @@ void VertexRepresentation::decode(const Tensor& answer, const Positions& coarse,
       throw_invalid_argument("answer: the offset of fine vertex " + std::to_string(v) + " is not finite");
     }
   }
-  if (features().passes > 0) {
-    for (std::size_t c = 0; c < static_cast<std::size_t>(gradient_channels_.channels()); ++c) {
-      for (std::size_t v = 0; v < vertices; ++v) {
-        const float more = read(answer.values.data() + (3 + c) * answer_places(), v);
-        if (!std::isfinite(more)) {
-          throw_invalid_argument("answer: the gradient of fine vertex " + std::to_string(v) + " is not finite");
-        }
-        scratch->planes[c * vertices + v] += more;
-      }
+  if (features().passes > 0 || !has_offsets()) {
+    read_planes(answer, gradients, *scratch);
+    if (gradients) {
+      gradient_channels_.from_planes(scratch->planes, scratch->field);
+    } else {
+      gradients_from_features(features().rotation, scratch->planes, scratch->field);
     }
-    gradient_channels_.from_planes(scratch->planes, scratch->field);
     clamp_stretch(scratch->field);
-    solver_.correct(scratch->field, features().passes, scratch->coordinates, fine);
+    if (has_offsets()) {
+      solver_.correct(scratch->field, features().passes, scratch->coordinates, fine);
+    } else {
+      solver_.solve(scratch->field, Positions(0, 3), aligned(coarse, alignment), features().passes,
+                    scratch->coordinates, fine);
+    }
   }
   fine = ((fine.rowwise() - alignment.translation.transpose()) * alignment.rotation).eval();
 }

@@ -14,11 +14,18 @@ namespace pleat::conversion {
 
 /// The places of all tensors are the F coarse faces. Input (3 C, 1, F): the C features of each corner, rotation and
 /// stretch of its one-ring, position about the centroid (m) and velocity (m/s), in the axes of the newest frame's
-/// heading. Answer (3 + D, s, s F): a square of s x s values for each face, the first ones for the fine vertices in it
-/// (lattice order), the others padding. A value is the fine vertex's offset from the upsampled coarse surface (m), and
-/// what its deformation gradient has more than that surface's: D = 6 where the fine rest mesh is flat, else 9. Where
-/// faces meet, their answers are averaged. Decoding adds the offsets, then corrects the positions until they have the
-/// gradients, the coarse vertices as soft anchors. The alignment is the turn about the vertical axis and the centroid.
+/// heading. Answer (C', s, s F): a square of s x s values for each face, the first ones for the fine vertices in it
+/// (lattice order), the others padding. By AnswerKind:
+///   kGradients      the fine vertex's offset from the upsampled coarse surface (m), and what its deformation gradient
+///                   has more than that surface's, 6 channels where the fine rest mesh is flat, else 9. Decoding adds
+///                   the offsets, then corrects the positions until they have the gradients, the coarse vertices as
+///                   soft anchors. Zeros are the upsampled surface.
+///   kFeatures       the same offset, and rotation and stretch (9 or 10) themselves. Decoded the same way.
+///   kFeaturesAlone  rotation and stretch. Decoding solves for the positions and moves them so that the mean of the
+///                   coarse vertices in them is that of the coarse mesh; `passes` correct what one-rings average away.
+/// Rotations have the names of a first frame, whatever was before. Where faces meet, their answers are averaged; of
+/// kFeaturesAlone each vertex has one place, in the first of its faces. The alignment is the turn about the vertical
+/// axis and the centroid.
 class VertexRepresentation final : public Representation {
  public:
   /// Throws kInvalidArgument, naming the vertex, for a subdivision without parents and for one-rings without a shape.
@@ -42,7 +49,7 @@ class VertexRepresentation final : public Representation {
   const VertexReads& reads() const override { return reads_; }
   void answer_axes(const Positions& coarse, const RigidTransform& alignment, Tensor& axes) const override;
   void base(const Positions& coarse, const RigidTransform& alignment, Positions& fine) const override;
-  bool fits_half() const override { return true; }
+  bool fits_half() const override { return features().answer == AnswerKind::kGradients; }
   std::size_t size() const override;
 
  private:
@@ -51,7 +58,8 @@ class VertexRepresentation final : public Representation {
     std::vector<Float4> labels;       ///< of the frame before
     std::vector<float> features;      ///< (C, V_coarse)
     std::vector<float> base, planes;  ///< (D, V_fine)
-    std::vector<Float4> aligned;      ///< (V_fine)
+    ExtractedFrame fine;
+    std::vector<Float4> aligned;  ///< (V_fine)
     GradientField field;
     CoordinateScratch coordinates;
   };
@@ -66,6 +74,11 @@ class VertexRepresentation final : public Representation {
   void vertex_features(const Frame& frame, const RigidTransform& alignment, bool first, Scratch& scratch) const;
   /// D channels of the gradients of fine positions in the alignment's axes.
   void gradient_planes(const Positions& aligned, Scratch& scratch, std::vector<float>& planes) const;
+  bool has_offsets() const { return features().answer != AnswerKind::kFeaturesAlone; }
+  int shape_channels() const;
+  /// Channels of the answer from the first one behind the offsets on, averaged at fine vertices: scratch.planes, or
+  /// with `add` on top of what is there.
+  void read_planes(const Tensor& answer, bool add, Scratch& scratch) const;
   /// Averages of a channel of the answer at fine vertex v.
   float read(const float* channel, std::size_t v) const;
 
@@ -74,6 +87,7 @@ class VertexRepresentation final : public Representation {
   Subdivision subdivision_;
   FeatureExtractor extractor_;
   std::shared_ptr<const OneRings> fine_rings_;
+  FeatureExtractor fine_extractor_;
   GradientChannels gradient_channels_;
   CoordinateSolver solver_;
   std::vector<std::uint32_t> vertex_at_;  ///< (s, s F): the fine vertex at a place, kNone for padding

@@ -11,6 +11,13 @@ enum class RotationCode {
   kQuaternion,  ///< four numbers: q or -q. Bounded, and continuous for every continuous motion
 };
 
+/// What a network answers for a fine vertex.
+enum class AnswerKind {
+  kGradients,      ///< its offset from the upsampled coarse surface, and what its gradient has more than that surface's
+  kFeatures,       ///< the same offset, and rotation and stretch of its one-ring
+  kFeaturesAlone,  ///< rotation and stretch: the centroid of the coarse mesh places the fine one
+};
+
 inline constexpr int kDefaultPasses = 2, kMostPasses = 8;
 inline constexpr double kDefaultAnchorWeight = 0.1;
 
@@ -19,6 +26,7 @@ struct VertexFeatureSpec {
   bool fixed_axes = false;      ///< values in the scene's axes, not turned with the cloth about the vertical one
   int passes = kDefaultPasses;  ///< corrections of an answer's positions by its gradients, 0 to kMostPasses
   double anchor_weight = kDefaultAnchorWeight;  ///< of the coarse vertices meanwhile (Anchors::weight), > 0
+  AnswerKind answer = AnswerKind::kGradients;
 };
 
 /// Fine vertices in a coarse face whose edges were halved `rounds` times, those on its edges included.

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <limits>
 
 #include "common/base/error.hpp"
@@ -162,6 +163,91 @@ TEST(VertexRepresentation, GradientsCorrectTheOffsets) {
   corrected->decode(answer, coarse.positions, alignment, b);
   EXPECT_GT(rms(a, fine.positions), 0.003F);
   EXPECT_LT(rms(b, fine.positions), 0.5F * rms(a, fine.positions));
+}
+
+VertexFeatureSpec answering(AnswerKind answer, RotationCode rotation = RotationCode::kLogarithm, int passes = 2) {
+  VertexFeatureSpec features;
+  features.answer = answer;
+  features.rotation = rotation;
+  features.passes = passes;
+  return features;
+}
+
+/// Rotation and stretch in place of the gradients' difference: the target still is the fine mesh.
+TEST(VertexRepresentation, FeaturesWithOffsetsDecodeToTheFineMesh) {
+  for (const RotationCode code : {RotationCode::kLogarithm, RotationCode::kQuaternion}) {
+    const auto made = make(spec_of(2, 1, answering(AnswerKind::kFeatures, code)));
+    const Frame coarse = frame_of(made->coarse(), 0.3F), fine = frame_of(made->fine(), 0.35F);
+    const RigidTransform alignment = made->align(coarse.positions);
+    Tensor answer;
+    made->target(coarse, fine, alignment, answer);
+    EXPECT_EQ(answer.shape, made->answer_shape());
+    EXPECT_EQ(answer.channels, made->answer_channels());
+    EXPECT_EQ(answer.channels.size(), code == RotationCode::kLogarithm ? 12u : 13u);
+    EXPECT_EQ(answer.channels[3], code == RotationCode::kLogarithm ? "rotation_xy" : "rotation_w");
+    Positions back;
+    made->decode(answer, coarse.positions, alignment, back);
+    EXPECT_LT(rms(back, fine.positions), 5e-6F);
+  }
+}
+
+/// Features say nothing of places: what comes back is where the coarse centroid is, and each pass gives back more of
+/// what one-rings average away.
+TEST(VertexRepresentation, FeaturesAloneDecodeToTheShapeAtTheCoarseCentroid) {
+  float before = 0;
+  for (const int passes : {0, 2, 8}) {
+    const auto made = make(spec_of(2, 1, answering(AnswerKind::kFeaturesAlone, RotationCode::kLogarithm, passes)));
+    const Frame coarse = frame_of(made->coarse(), 0.3F), fine = frame_of(made->fine(), 0.3F);
+    const RigidTransform alignment = made->align(coarse.positions);
+    Tensor answer;
+    made->target(coarse, fine, alignment, answer);
+    EXPECT_EQ(answer.channels.size(), 9u);
+    Positions back;
+    made->decode(answer, coarse.positions, alignment, back);
+    const auto mean_of = [&](const Positions& fine_positions) {
+      Eigen::RowVector3f sum = Eigen::RowVector3f::Zero();
+      for (const std::uint32_t v : made->subdivision().feature_vertices) sum += fine_positions.row(v);
+      return Eigen::RowVector3f(sum / static_cast<float>(coarse.positions.rows()));
+    };
+    EXPECT_LT((mean_of(back) - coarse.positions.colwise().mean()).norm(), 1e-5F);
+    Positions centred = fine.positions;
+    centred.rowwise() += coarse.positions.colwise().mean() - mean_of(fine.positions);
+    const float error = rms(back, centred);
+    EXPECT_LT(error, passes == 0 ? 0.01F : 0.7F * before) << passes;
+    before = error;
+  }
+}
+
+TEST(VertexRepresentation, FeaturesAloneHaveOnePlaceForEachVertex) {
+  const auto made = make(spec_of(2, 1, answering(AnswerKind::kFeaturesAlone)));
+  const auto& mask = made->answer_mask();
+  const auto vertices = made->fine().vertex_count();
+  EXPECT_EQ(std::count(mask.begin(), mask.end(), 1), vertices);
+  const VertexReads& reads = made->reads();
+  for (Eigen::Index v = 0; v < vertices; ++v) {
+    const auto row = static_cast<std::size_t>(v);
+    EXPECT_EQ(reads.offsets[row + 1] - reads.offsets[row], 1u);
+  }
+  EXPECT_FALSE(made->fits_half());
+}
+
+TEST(VertexRepresentation, AnswersOfFeaturesAreCheckedToo) {
+  for (const AnswerKind kind : {AnswerKind::kFeatures, AnswerKind::kFeaturesAlone}) {
+    const auto made = make(spec_of(1, 1, answering(kind)));
+    const Frame coarse = frame_of(made->coarse(), 0);
+    const RigidTransform alignment = made->align(coarse.positions);
+    Tensor answer;
+    made->target(coarse, frame_of(made->fine(), 0), alignment, answer);
+    Positions positions;
+    Tensor wrong = answer;
+    wrong.values[(answer.channels.size() - 1) * made->answer_mask().size()] = kNaN;
+    EXPECT_NE(std::string(test::error_of([&] { made->decode(wrong, coarse.positions, alignment, positions); }).what())
+                  .find("the feature of fine vertex"),
+              std::string::npos);
+    for (std::size_t i = 0; i < wrong.values.size(); ++i) wrong.values[i] = i % 2 == 0 ? 1e3F : -1e3F;
+    made->decode(wrong, coarse.positions, alignment, positions);
+    EXPECT_TRUE(positions.allFinite());
+  }
 }
 
 TEST(VertexRepresentation, BadInputIsNamedOrHandled) {
