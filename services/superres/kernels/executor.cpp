@@ -85,7 +85,7 @@ struct Executor::State {
 
 bool Executor::supports(const Description& network) {
   return std::all_of(network.layers.begin(), network.layers.end(), [&](const Layer& layer) {
-    if (layer.kind == LayerKind::kNorm || layer.kind == LayerKind::kAttention || layer.frames > 1) return false;
+    if (!is_image_layer(layer)) return false;
     return std::max(network.input_channels(layer), layer.channels) <= 2 * kLargestOutputs &&
            (layer.kernel == 3 || layer.channels <= kLargestOutputs);
   });

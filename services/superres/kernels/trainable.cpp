@@ -81,7 +81,7 @@ struct Trainable::State {
 
 bool Trainable::supports(const Description& network) {
   for (const Layer& layer : network.layers) {
-    if (layer.kind == LayerKind::kNorm || layer.kind == LayerKind::kAttention || layer.frames > 1) return false;
+    if (!is_image_layer(layer)) return false;
     const int widest = std::max(network.input_channels(layer), layer.channels);
     if (layer.activation == Activation::kPrelu || widest > kLargestOutputs / 2) return false;
   }

@@ -2,6 +2,8 @@
 
 #include <vector>
 
+#include "common/base/error.hpp"
+
 namespace pleat::superres {
 
 int add_residual_blocks(Description& network, int features, int count) {
@@ -44,6 +46,80 @@ int add_heads(Description& network, int features, const std::string& upsampling,
                                   .channels = ports.outputs * ports.scale * ports.scale,
                                   .zero = ports.detail});
   return network.add({.kind = LayerKind::kPixelShuffle, .inputs = {values}, .factor = ports.scale});
+}
+
+AttentionSizes read_attention(Options& options, int frames) {
+  AttentionSizes sizes;
+  sizes.features = options.integer("features", sizes.features, 1, 1024);
+  sizes.heads = options.integer("heads", sizes.heads, 1, 64);
+  sizes.hidden = options.integer("hidden", sizes.hidden, 1, 4096);
+  sizes.frames = frames;
+  if (sizes.features % sizes.heads != 0) {
+    throw_invalid_argument("architecture: features = " + std::to_string(sizes.features) + " do not fall into " +
+                           std::to_string(sizes.heads) + " heads");
+  }
+  return sizes;
+}
+
+namespace {
+
+/// A layer for each token.
+int add_map(Description& network, const std::string& name, int tokens, int channels, const AttentionSizes& sizes,
+            int add = -1, Activation activation = Activation::kNone) {
+  return network.add({.name = name,
+                      .inputs = {tokens},
+                      .channels = sizes.frames * channels,
+                      .kernel = 1,
+                      .add = add,
+                      .activation = activation,
+                      .exact = true,
+                      .frames = sizes.frames});
+}
+
+int add_norm(Description& network, const std::string& name, int tokens, const AttentionSizes& sizes, int add = -1) {
+  return network.add(
+      {.kind = LayerKind::kNorm, .name = name, .inputs = {tokens}, .add = add, .exact = true, .frames = sizes.frames});
+}
+
+int add_mix(Description& network, const std::string& name, int tokens, std::vector<int> read, bool over_frames,
+            bool causal, const AttentionSizes& sizes, int add) {
+  const int mixed = network.add({.kind = LayerKind::kAttention,
+                                 .inputs = std::move(read),
+                                 .frames = sizes.frames,
+                                 .heads = sizes.heads,
+                                 .over_frames = over_frames,
+                                 .causal = causal});
+  const int sum = add_map(network, name + "_mix", mixed, sizes.features, sizes, tokens);
+  return add_norm(network, name + "_norm", sum, sizes, add);
+}
+
+}  // namespace
+
+int add_attention(Description& network, const std::string& name, int tokens, bool over_frames, bool causal,
+                  const AttentionSizes& sizes, int add) {
+  const int parts = add_map(network, name + "_parts", tokens, 3 * sizes.features, sizes);
+  return add_mix(network, name, tokens, {parts}, over_frames, causal, sizes, add);
+}
+
+int add_cross_attention(Description& network, const std::string& name, int tokens, int others, bool over_frames,
+                        const AttentionSizes& sizes, int add) {
+  const int queries = add_map(network, name + "_queries", tokens, sizes.features, sizes);
+  const int read = add_map(network, name + "_others", others, 2 * sizes.features, sizes);
+  return add_mix(network, name, tokens, {queries, read}, over_frames, false, sizes, add);
+}
+
+int add_perceptron(Description& network, const std::string& name, int tokens, const AttentionSizes& sizes) {
+  const int hidden = add_map(network, name + "_hidden", tokens, sizes.hidden, sizes, -1, Activation::kRelu);
+  const int sum = add_map(network, name + "_out", hidden, sizes.features, sizes, tokens);
+  return add_norm(network, name + "_norm", sum, sizes);
+}
+
+int add_attention_block(Description& network, const std::string& name, int tokens, bool spatial, bool temporal,
+                        const AttentionSizes& sizes) {
+  int seen = -1;
+  if (spatial) seen = add_attention(network, name + "_spatial", tokens, false, false, sizes, seen);
+  if (temporal) seen = add_attention(network, name + "_temporal", tokens, true, false, sizes, seen);
+  return add_perceptron(network, name, seen < 0 ? tokens : seen, sizes);
 }
 
 }  // namespace pleat::superres

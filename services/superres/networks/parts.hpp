@@ -24,4 +24,27 @@ std::string read_upsampling(Options& options);
 /// scale^2 values a texel and output at the small size, which are then rearranged.
 int add_heads(Description& network, int features, const std::string& upsampling, const Ports& ports);
 
+/// Of a block of attention over tokens, which lie in `frames` parts of `features` channels at each place.
+struct AttentionSizes {
+  int features = 64, heads = 8, hidden = 256, frames = 1;
+};
+
+/// Reads "features", "heads" and "hidden". Throws kInvalidArgument unless the features fall into heads.
+AttentionSizes read_attention(Options& options, int frames);
+
+/// What tokens learn from one another, added to them and normalised: "<name>_parts", "_mix" and "_norm". `add` comes on
+/// top of that; -1: nothing.
+int add_attention(Description& network, const std::string& name, int tokens, bool over_frames, bool causal,
+                  const AttentionSizes& sizes, int add);
+/// The same from other tokens: "<name>_queries", "_others", "_mix" and "_norm".
+int add_cross_attention(Description& network, const std::string& name, int tokens, int others, bool over_frames,
+                        const AttentionSizes& sizes, int add);
+/// A perceptron for each token, added to it and normalised: "<name>_hidden", "_out" and "_norm".
+int add_perceptron(Description& network, const std::string& name, int tokens, const AttentionSizes& sizes);
+
+/// A block of [ST]: spatial attention (between the places of a frame) and temporal attention (between the frames of a
+/// place) side by side, summed, then a perceptron.
+int add_attention_block(Description& network, const std::string& name, int tokens, bool spatial, bool temporal,
+                        const AttentionSizes& sizes);
+
 }  // namespace pleat::superres

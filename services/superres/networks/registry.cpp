@@ -7,6 +7,7 @@
 #include "services/superres/networks/chen2018/chen2018.hpp"
 #include "services/superres/networks/mfsr/mfsr.hpp"
 #include "services/superres/networks/options.hpp"
+#include "services/superres/networks/published/published.hpp"
 #include "services/superres/networks/srresnet/srresnet.hpp"
 #include "services/superres/networks/tokens/tokens.hpp"
 #include "services/superres/networks/unet/unet.hpp"
@@ -18,11 +19,9 @@ struct NetworkKind {
   const char* name;
   Description (*describe)(Options& options, const Ports& ports);
 };
-constexpr NetworkKind kKinds[] = {{"mfsr", describe_mfsr},
-                                  {"srresnet", describe_srresnet},
-                                  {"chen2018", describe_chen2018},
-                                  {"tokens", describe_tokens},
-                                  {"unet", describe_unet}};
+constexpr NetworkKind kKinds[] = {{"mfsr", describe_mfsr},           {"srresnet", describe_srresnet},
+                                  {"chen2018", describe_chen2018},   {"tokens", describe_tokens},
+                                  {"published", describe_published}, {"unet", describe_unet}};
 
 const NetworkKind* find(const std::string& name) {
   const auto* found = std::find_if(std::begin(kKinds), std::end(kKinds), [&](const auto& k) { return name == k.name; });

@@ -1,6 +1,7 @@
 // The networks that can be trained here. A new one is a folder beside this file and a line in registry.cpp.
 #pragma once
 
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,15 @@ struct Architecture {
   std::string options = "{}";  ///< JSON object; its keys are the kind's own (docs/superres.md)
 };
 
+/// The meshes behind the places, for networks that convolve on them.
+struct MeshPorts {
+  int corners = 0;                      ///< a place of the input has so many, their channels one after the other
+  int features = 0;                     ///< the first channels of each: rotation and stretch of its one-ring
+  PlaceMap coarse, coarse_ring;         ///< coarse vertices: corners that hold them; their neighbours
+  PlaceMap fine, fine_ring, fine_read;  ///< fine vertices of an answer: where they are read; their neighbours; and the
+                                        ///< vertex at each place of an answer
+};
+
 /// What a network is put between. All of it follows from the representation.
 struct Ports {
   int inputs = 1;       ///< channels of what it reads: those of every frame of the window, then the constant ones
@@ -22,6 +32,10 @@ struct Ports {
   int scale = 1;        ///< its answer is that many times as high and wide
   bool detail = false;  ///< the answer is added to an upsampled mesh: without training it is zero
   int window = 1;       ///< frames that it reads at once
+  int constants = 0;    ///< of the inputs
+  int block = 0;        ///< values of the scale^2 of a place and channel that mean something, the first ones; 0: all
+  /// Null where the meshes are not known: then a network that needs them is described by its ends alone.
+  std::shared_ptr<const MeshPorts> mesh = {};
 };
 
 std::vector<std::string> network_kinds();

@@ -1,102 +1,76 @@
 #include "services/superres/networks/tokens/tokens.hpp"
 
+#include <algorithm>
 #include <string>
+#include <vector>
 
-#include "common/base/error.hpp"
+#include "services/superres/networks/parts.hpp"
 
 namespace pleat::superres {
 namespace {
 
-struct Sizes {
-  int features, heads, hidden, window;
-};
+constexpr int kRememberedChannels = 3;  ///< the first ones of an answer: offsets
+constexpr int kMostHistory = 4;
 
-/// What the tokens learn from one another, added to them, normalised; `add` comes on top of that.
-int add_attention(Description& network, const std::string& name, int tokens, bool over_frames, const Sizes& sizes,
-                  int add) {
-  const int all = sizes.window * sizes.features;
-  const int parts = network.add({.name = name + "_parts",
-                                 .inputs = {tokens},
-                                 .channels = 3 * all,
-                                 .kernel = 1,
-                                 .exact = true,
-                                 .frames = sizes.window});
-  const int mixed = network.add({.kind = LayerKind::kAttention,
-                                 .inputs = {parts},
-                                 .frames = sizes.window,
-                                 .heads = sizes.heads,
-                                 .over_frames = over_frames});
-  const int sum = network.add({.name = name + "_mix",
-                               .inputs = {mixed},
-                               .channels = all,
-                               .kernel = 1,
-                               .add = tokens,
-                               .exact = true,
-                               .frames = sizes.window});
-  return network.add({.kind = LayerKind::kNorm,
-                      .name = name + "_norm",
-                      .inputs = {sum},
-                      .add = add,
-                      .exact = true,
-                      .frames = sizes.window});
-}
-
-int add_block(Description& network, const std::string& name, int tokens, bool spatial, bool temporal,
-              const Sizes& sizes) {
-  int seen = -1;
-  if (spatial) seen = add_attention(network, name + "_spatial", tokens, false, sizes, seen);
-  if (temporal) seen = add_attention(network, name + "_temporal", tokens, true, sizes, seen);
-  if (seen < 0) seen = tokens;
-  const int hidden = network.add({.name = name + "_hidden",
-                                  .inputs = {seen},
-                                  .channels = sizes.window * sizes.hidden,
-                                  .kernel = 1,
-                                  .activation = Activation::kRelu,
-                                  .exact = true,
-                                  .frames = sizes.window});
-  const int sum = network.add({.name = name + "_out",
-                               .inputs = {hidden},
-                               .channels = sizes.window * sizes.features,
-                               .kernel = 1,
-                               .add = seen,
-                               .exact = true,
-                               .frames = sizes.window});
-  return network.add(
-      {.kind = LayerKind::kNorm, .name = name + "_norm", .inputs = {sum}, .exact = true, .frames = sizes.window});
+/// The values of an answer's first channels that mean something, out of one (channels scale^2, h, w).
+int add_offsets(Description& network, int values, const Ports& ports) {
+  const int all = ports.scale * ports.scale, block = ports.block > 0 ? ports.block : all;
+  std::vector<int> parts;
+  for (int c = 0; c < std::min(kRememberedChannels, ports.outputs); ++c) {
+    parts.push_back(network.add({.kind = LayerKind::kPart, .inputs = {values}, .channels = block, .first = c * all}));
+  }
+  return network.add({.kind = LayerKind::kJoin, .inputs = parts});
 }
 
 }  // namespace
 
 Description describe_tokens(Options& options, const Ports& ports) {
-  Sizes sizes{};
-  sizes.features = options.integer("features", 64, 1, 1024);
-  sizes.heads = options.integer("heads", 8, 1, 64);
-  sizes.hidden = options.integer("hidden", 256, 1, 4096);
-  sizes.window = ports.window;
+  const AttentionSizes sizes = read_attention(options, ports.window);
   const int blocks = options.integer("blocks", 2, 0, 32);
   const bool spatial = options.flag("spatial", true), temporal = options.flag("temporal", true);
-  if (sizes.features % sizes.heads != 0) {
-    throw_invalid_argument("architecture: features = " + std::to_string(sizes.features) + " do not fall into " +
-                           std::to_string(sizes.heads) + " heads");
-  }
+  const int history = options.integer("history", 0, 0, kMostHistory), values_each = ports.scale * ports.scale;
   Description network(ports.inputs);
-  int tokens = network.add(
-      {.name = "tokens", .inputs = {0}, .channels = sizes.window * sizes.features, .kernel = 1, .exact = true});
-  for (int b = 0; b < blocks; ++b) {
-    tokens = add_block(network, "block" + std::to_string(b), tokens, spatial, temporal, sizes);
+  std::vector<int> read{0};
+  int recalled = -1;
+  if (history > 0) {
+    const int given =
+        network.add({.kind = LayerKind::kGiven, .inputs = {0}, .channels = ports.outputs, .factor = ports.scale});
+    const int blockwise = network.add({.kind = LayerKind::kUnshuffle, .inputs = {given}, .factor = ports.scale});
+    network.given_memory = add_offsets(network, blockwise, ports);
+    network.remembered = history;
+    recalled = network.add(
+        {.kind = LayerKind::kMemory, .inputs = {0}, .channels = history * network.channels(network.given_memory)});
+    read.push_back(recalled);
   }
+  int tokens = network.add(
+      {.name = "tokens", .inputs = read, .channels = ports.window * sizes.features, .kernel = 1, .exact = true});
+  for (int b = 0; b < blocks; ++b) {
+    tokens = add_attention_block(network, "block" + std::to_string(b), tokens, spatial, temporal, sizes);
+  }
+  read.insert(read.begin(), tokens);
   const int hidden = network.add({.name = "answer_hidden",
-                                  .inputs = {tokens, 0},
+                                  .inputs = read,
                                   .channels = sizes.hidden,
                                   .kernel = 1,
                                   .activation = Activation::kRelu,
                                   .exact = true});
+  int carried = -1;
+  if (history > 0) {
+    carried = network.add({.name = "answer_carried",
+                           .inputs = {recalled},
+                           .channels = ports.outputs * values_each,
+                           .kernel = 1,
+                           .exact = true,
+                           .zero = true});
+  }
   const int values = network.add({.name = "answer",
                                   .inputs = {hidden},
-                                  .channels = ports.outputs * ports.scale * ports.scale,
+                                  .channels = ports.outputs * values_each,
                                   .kernel = 1,
+                                  .add = carried,
                                   .exact = true,
                                   .zero = ports.detail});
+  if (history > 0) network.memory = add_offsets(network, values, ports);
   network.add({.kind = LayerKind::kPixelShuffle, .inputs = {values}, .factor = ports.scale});
   return network;
 }
