@@ -95,13 +95,35 @@ struct Engine::State {
     return {channels, frames[1] * ports.scale, frames[2] * ports.scale};
   }
 
+  bool remembers() const { return memory_values(metadata) > 0; }
+
+  /// What one input's network remembers, (1, channels, height, width).
+  torch::Tensor memory_of(const NetworkInput& input) const {
+    const auto& m = metadata.memory;
+    auto memory = torch::zeros({1, m[0], m[1], m[2]}, torch::kFloat32);
+    std::copy(input.memory.begin(), input.memory.end(), memory.data_ptr<float>());
+    return memory;
+  }
+
+  /// The module's answer; of a network that remembers `memory` becomes what it remembers then.
+  torch::Tensor call_module(const torch::Tensor& input, torch::Tensor& memory) {
+    if (!memory.defined()) return module.forward({input.to(device)}).toTensor();
+    const auto both = module.forward({input.to(device), memory.to(device)}).toTuple();
+    const auto after = both->elements()[1].toTensor().to(torch::kCPU, torch::kFloat32).contiguous();
+    if (after.sizes() != memory.sizes()) {
+      throw_internal("model bundle '" + metadata.name + "': remembers something of another shape than it should");
+    }
+    memory = after;
+    return both->elements()[0].toTensor();
+  }
+
   /// One inference of the module. input: (N, T C + K, h, w). Returns (N, outputs, H, W).
-  torch::Tensor run_module(const torch::Tensor& input) {
+  torch::Tensor run_module(const torch::Tensor& input, torch::Tensor& memory) {
     const c10::InferenceMode inference;
     if (at::get_num_threads() != status.threads) at::set_num_threads(status.threads);
     const std::string name = "model bundle '" + metadata.name + "': ";
     try {
-      const auto output = module.forward({input.to(device)}).toTensor();
+      const auto output = call_module(input, memory);
       auto expected = answer_shape(input.sizes().slice(1).vec(), ports.outputs);
       expected.insert(expected.begin(), input.size(0));
       if (output.sizes().vec() != expected) throw_internal(name + "answers with another shape than it should");
@@ -150,10 +172,12 @@ struct Engine::State {
     }
     if (executor) return run_own(inputs, channels, answers);
     for (std::size_t begin = 0; begin < inputs.size();) {
-      const std::size_t count = std::min(inputs.size() - begin, static_cast<std::size_t>(status.largest_batch));
-      torch::Tensor output;
+      const std::size_t count =
+          remembers() ? 1 : std::min(inputs.size() - begin, static_cast<std::size_t>(status.largest_batch));
+      torch::Tensor output, memory;
+      if (remembers()) memory = memory_of(inputs[begin]);
       try {
-        output = run_module(stack(inputs.subspan(begin, count)));
+        output = run_module(stack(inputs.subspan(begin, count)), memory);
       } catch (const Error& error) {
         if (error.code() != ErrorCode::kResourceExhausted || count == 1) throw;
         status.largest_batch = static_cast<int>(count / 2);
@@ -163,6 +187,9 @@ struct Engine::State {
         auto& values = answers[begin + n]->values;
         const auto one = output[static_cast<std::int64_t>(n)];
         std::copy_n(one.data_ptr<float>(), values.size(), values.begin());
+      }
+      if (memory.defined() && inputs[begin].left != nullptr) {
+        inputs[begin].left->assign(memory.data_ptr<float>(), memory.data_ptr<float>() + memory.numel());
       }
       begin += count;
     }
@@ -219,9 +246,9 @@ Engine::Engine(const EngineOptions& options, const std::string& name) : state_(s
   s.status.largest_batch = std::max(1, options.largest_batch);
 
   const bool registered = is_registered(s.metadata.architecture.kind);
-  if (!cuda && !options.torchscript && registered && (!bfloat16 || kernels::has_bfloat16())) {
+  if (!cuda && !options.torchscript && registered && !s.remembers() && (!bfloat16 || kernels::has_bfloat16())) {
     const Description network = superres::describe(s.metadata.architecture, s.ports);
-    if (kernels::Executor::supports(network)) {
+    if (!network.ends_only && kernels::Executor::supports(network)) {
       const auto values = std::make_shared<const std::map<std::string, std::vector<float>>>(values_of(s.module));
       const auto find = [values](const std::string& parameter) -> std::span<const float> {
         const auto found = values->find(parameter);
@@ -303,6 +330,12 @@ void Engine::check(const NetworkInput& input) const {
     throw_invalid_argument("image: needs " + std::to_string(shape[0] * shape[1] * shape[2]) + " values, has " +
                            std::to_string(input.frames->values.size()));
   }
+  const std::size_t remembered = memory_values(s.metadata);
+  if (!input.memory.empty() && input.memory.size() != remembered) {
+    throw_invalid_argument("state: " + std::to_string(input.memory.size()) + " numbers, the bundle remembers " +
+                           std::to_string(remembered));
+  }
+  if (!all_finite(input.memory)) throw_invalid_argument("state: a number is not finite");
   if (!input.constants) {
     if (s.metadata.constants > 0) throw_invalid_argument("constants: the bundle reads some, the session has none");
   } else if (input.constants->shape[1] != shape[1] || input.constants->shape[2] != shape[2]) {

@@ -47,6 +47,9 @@ struct EngineStatus {
 struct NetworkInput {
   const Tensor* frames = nullptr;                ///< (T C, h, w): the window of a frame, normalised
   std::shared_ptr<const Tensor> constants = {};  ///< (K, h, w) from Engine::take_constants(); null where K is 0
+  /// Of a network that remembers (Metadata::memory): what the frame before left; empty: there was none.
+  std::span<const float> memory = {};
+  std::vector<float>* left = nullptr;  ///< gets what this frame leaves, unless null
 };
 
 /// One bundle, ready to run. upscale() may be called from several threads; inferences run one at a time.
@@ -70,14 +73,16 @@ class Engine {
   /// bundle says, all finite; null for none.
   std::shared_ptr<const Tensor> take_constants(Tensor constants) const;
 
-  /// Throws kInvalidArgument, naming what is wrong, unless a network could read this: shapes and counts of values.
+  /// Throws kInvalidArgument, naming what is wrong, unless a network could read this: shapes, counts of values, and
+  /// that what it remembers is finite.
   void check(const NetworkInput& input) const;
 
   /// inputs: of one shape (T C, h, w). Returns for each the first `channels` of the answer, (channels, H, W) without
   /// names; 0: all. h and w are the bundle's or, for bundles that know no mesh (no topology_hash), any size.
   /// kInvalidArgument for sizes that don't fit or values that are not finite; kInternal if the module answers with
-  /// another shape. If the device runs out of memory, the batch is halved, here and from then on; kResourceExhausted if
-  /// one input is too much.
+  /// another shape. Networks that remember run one input at a time, so that their answers do not depend on whose frames
+  /// come with them. If the device runs out of memory, the batch is halved, here and from then on; kResourceExhausted
+  /// if one input is too much.
   std::vector<Tensor> upscale(std::span<const NetworkInput> inputs, int channels = 0);
   /// The same into answers, as many as inputs, whose memory is used again if it is large enough.
   void upscale(std::span<const NetworkInput> inputs, int channels, std::span<Tensor* const> answers);

@@ -4,6 +4,10 @@
 #include <sys/stat.h>
 
 #include <algorithm>
+#include <cstring>
+#include <optional>
+#include <utility>
+#include <vector>
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
@@ -29,6 +33,42 @@ std::string file_identity(const std::string& path) {
   if (::stat(path.c_str(), &s) != 0) return "";
   return fmt::format("{}:{}:{}:{}.{}", s.st_dev, s.st_ino, s.st_size, s.st_mtim.tv_sec, s.st_mtim.tv_nsec);
 }
+
+/// What the network of one stream remembers (ImageFrame.state). One frame after the other.
+class StreamMemory {
+ public:
+  explicit StreamMemory(std::size_t values) : values_(values) {}
+
+  /// The state that came with the frame; else that of the frame before, if this is the next one; else none.
+  void begin(const v1::ImageFrame& request, NetworkInput& input) {
+    const std::string& state = request.state();
+    const bool goes_on = last_ && request.index() == *last_ + 1;
+    last_.reset();  // should the frame fail, nothing goes on from it
+    if (!state.empty()) {
+      if (state.size() != values_ * sizeof(float)) {
+        throw_invalid_argument("frame.state: " + std::to_string(state.size()) + " bytes, the bundle remembers " +
+                               std::to_string(values_ * sizeof(float)));
+      }
+      known_.resize(values_);
+      std::memcpy(known_.data(), state.data(), state.size());
+    } else if (!goes_on) {
+      known_.clear();
+    }
+    input.memory = known_;
+    input.left = &left_;
+  }
+
+  void end(std::uint64_t index, std::string* state) {
+    std::swap(known_, left_);
+    last_ = index;
+    state->assign(reinterpret_cast<const char*>(known_.data()), known_.size() * sizeof(float));
+  }
+
+ private:
+  const std::size_t values_;
+  std::vector<float> known_, left_;
+  std::optional<std::uint64_t> last_;  ///< the frame that left known_
+};
 
 }  // namespace
 
@@ -97,6 +137,7 @@ void SuperResolutionService::describe(const std::string& name, const Metadata& m
   if (!parsed.ok()) throw_internal("bundle " + name + ": representation: " + parsed.ToString());
   message->set_constant_channels(static_cast<std::uint32_t>(metadata.constants));
   message->set_topology_hash(metadata.topology_hash);
+  message->set_state_values(static_cast<std::uint32_t>(memory_values(metadata)));
   message->set_git_revision(metadata.git_revision);
   message->mutable_rest_positions()->Assign(metadata.rest_positions.begin(), metadata.rest_positions.end());
   Metadata text = metadata;
@@ -136,7 +177,7 @@ grpc::Status SuperResolutionService::DescribeModel(grpc::ServerContext*, const v
 
 grpc::Status SuperResolutionService::Upscale(
     grpc::ServerContext* context, grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) {
-  const rpc::FrameServiceOptions options{"superres", &metrics_, kConcurrency};
+  rpc::FrameServiceOptions options{"superres", &metrics_, kConcurrency};
   return rpc::serve_frames<v1::UpscaleRequest, v1::UpscaleResponse>(
       context, stream, options, [&](const v1::UpscaleOpen& open, v1::ModelDescription* opened) {
         auto loaded = batcher(open.model());
@@ -149,12 +190,19 @@ grpc::Status SuperResolutionService::Upscale(
         // Corrections by gradients need the whole answer.
         const bool enough = conversion::answer_form(loaded->engine().describe().representation).first_three;
         const int channels = open.displacement_only() && enough ? kPositionChannels : 0;
-        return [loaded, session, constants, channels, dtype = open.dtype()](const v1::ImageFrame& request,
-                                                                            v1::ImageFrame* response) {
+        const std::size_t remembered = memory_values(loaded->engine().describe());
+        // Read behind this: a frame begins when the one before has left what it is to remember.
+        if (remembered > 0) options.concurrency = 1;
+        const auto recall = remembered > 0 ? std::make_shared<StreamMemory>(remembered) : nullptr;
+        return [loaded, session, constants, channels, recall, dtype = open.dtype()](const v1::ImageFrame& request,
+                                                                                    v1::ImageFrame* response) {
           // Kept from frame to frame: what is new is filled with zeros first.
           thread_local Tensor frames, answer;
           from_payload(request.image(), "frame.image", &frames);
-          loaded->upscale({&frames, constants}, channels, answer);
+          NetworkInput input{&frames, constants};
+          if (recall != nullptr) recall->begin(request, input);
+          loaded->upscale(input, channels, answer);
+          if (recall != nullptr) recall->end(request.index(), response->mutable_state());
           response->set_index(request.index());
           response->set_time_s(request.time_s());
           *response->mutable_alignment() = request.alignment();

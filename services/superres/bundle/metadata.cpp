@@ -16,6 +16,8 @@ constexpr const char* kLayouts[] = {"LAYOUT_PUBLISHED", "LAYOUT_DETAIL", "LAYOUT
 constexpr const char* kBases[] = {"BASE_VERTICES", "BASE_TEXELS"};
 constexpr const char* kUnits[] = {"UNITS_METRES", "UNITS_COARSE_EDGES"};
 constexpr const char* kRotations[] = {"ROTATION_LOGARITHM", "ROTATION_QUATERNION"};
+constexpr const char* kAnswers[] = {"ANSWER_GRADIENTS", "ANSWER_FEATURES", "ANSWER_FEATURES_ALONE"};
+constexpr std::int64_t kMostRemembered = 4 << 20;  ///< numbers: they travel with every frame
 constexpr const char* kRules[] = {"SUBDIVISION_RULE_MIDPOINT", "SUBDIVISION_RULE_LOOP"};
 
 /// An object of the document, and how errors name it.
@@ -80,7 +82,8 @@ json document_of(const conversion::VertexFeatureSpec& features) {
   return {{"rotation", kRotations[static_cast<std::size_t>(features.rotation)]},
           {"fixed_axes", features.fixed_axes},
           {"passes", features.passes},
-          {"anchor_weight", features.anchor_weight}};
+          {"anchor_weight", features.anchor_weight},
+          {"answer", kAnswers[static_cast<std::size_t>(features.answer)]}};
 }
 
 json document_of(const conversion::GeometryImageSpec& image) {
@@ -110,6 +113,7 @@ conversion::VertexFeatureSpec read_features(const Object& features) {
   spec.fixed_axes = features.get<bool>("fixed_axes", false);
   spec.passes = features.integer("passes", conversion::kDefaultPasses, 0, conversion::kMostPasses);
   spec.anchor_weight = features.get<double>("anchor_weight", conversion::kDefaultAnchorWeight);
+  spec.answer = features.choice<conversion::AnswerKind>("answer", kAnswers);
   return spec;
 }
 
@@ -157,6 +161,8 @@ Ports ports_of(const Metadata& metadata) {
   ports.window = metadata.representation.window;
   ports.scale = form.scale;
   ports.detail = form.detail;
+  ports.constants = metadata.constants;
+  ports.block = form.block;
   return ports;
 }
 
@@ -173,6 +179,7 @@ std::string to_json(const Metadata& metadata) {
   document["parameters"] = metadata.parameters;
   document["representation"] = document_of(metadata);
   document["constants"] = metadata.constants;
+  if (memory_values(metadata) > 0) document["memory"] = metadata.memory;
   document["topology_hash"] = metadata.topology_hash;
   if (!metadata.rest_positions.empty()) document["rest_positions"] = metadata.rest_positions;
   document["velocity"] = metadata.velocity;
@@ -208,6 +215,15 @@ Metadata metadata_from_json(const std::string& text, const std::string& source) 
   m.parameters = document.get<std::int64_t>("parameters", 0);
   read_representation(document.object("representation"), m);
   m.constants = document.integer("constants", 0, 0, kMostChannels);
+  m.memory = document.get<std::array<int, 3>>("memory", {});
+  std::int64_t remembered = 1;
+  for (const int extent : m.memory) {
+    remembered = extent < 0 || remembered > kMostRemembered ? kMostRemembered + 1 : remembered * extent;
+  }
+  if (remembered > kMostRemembered) {
+    throw_invalid_argument(source + ": pleat.json: memory has no size, or more than " +
+                           std::to_string(kMostRemembered) + " numbers");
+  }
   if (is_registered(m.architecture.kind)) {
     m.architecture = complete(m.architecture);
     if (describe(m.architecture, ports_of(m)).outputs() != static_cast<int>(m.output.channels())) {

@@ -1,6 +1,7 @@
 // What a model bundle says about itself: the file pleat.json inside the TorchScript archive (docs/superres.md).
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <string>
@@ -21,7 +22,10 @@ struct Metadata {
   conversion::RepresentationSpec representation;  ///< how conversion has to be set up
   ChannelRanges input, output;                    ///< of the channels of one frame, and of an answer; not empty
   int constants = 0;                              ///< channels of what the network reads beside the frames
-  std::string topology_hash;                      ///< of the coarse mesh; empty: serves any mesh and any size of image
+  /// (channels, height, width) of what it remembers from frame to frame; zeros: nothing. Its module has forward(x,
+  /// memory), which returns the answer and what is remembered after it; zeros in the beginning.
+  std::array<int, 3> memory = {};
+  std::string topology_hash;  ///< of the coarse mesh; empty: serves any mesh and any size of image
   /// (V x 3) rest positions of that mesh, by which one that was only moved or turned is known again; may be empty.
   std::vector<float> rest_positions;
   std::string velocity = "backward";  ///< v_k = (x_k - x_{k-1}) / frame time
@@ -33,6 +37,13 @@ struct Metadata {
   std::string git_revision;
   std::int64_t parameters = 0;  ///< number of trained values
 };
+
+/// Numbers that the network remembers; 0: none.
+inline std::size_t memory_values(const Metadata& metadata) {
+  std::size_t count = 1;
+  for (const int extent : metadata.memory) count *= static_cast<std::size_t>(extent);
+  return count;
+}
 
 /// A bundle of geometry images that serves any mesh, with images as large as each mesh asks for.
 void forget_mesh(Metadata& metadata);

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <fstream>
 #include <future>
+#include <limits>
 #include <thread>
 
 #include "services/superres/batcher.hpp"
@@ -381,6 +382,58 @@ TEST_F(EngineTest, PrecisionNames) {
   EXPECT_EQ(precision_from_string("float32"), Precision::kFloat32);
   EXPECT_EQ(precision_from_string("bfloat16"), Precision::kBfloat16);
   EXPECT_THAT(error_of([] { precision_from_string("int8"); }).what(), HasSubstr("int8"));
+}
+
+/// A module that answers with what it remembers: the sums of the last two inputs, the oldest first.
+TEST_F(EngineTest, RemembersFromFrameToFrame) {
+  torch::jit::Module module("Remembering");
+  module.define(
+      "def forward(self, x, memory):\n"
+      "  sums = memory.sum([1, 2, 3]).reshape([-1, 1, 1, 1])\n"
+      "  return torch.zeros_like(x).repeat([1, 1, 4, 4]) + sums, "
+      "torch.cat([memory.narrow(1, 1, 1), x.sum([1, 2, 3]).reshape([-1, 1, 1, 1])], 1)\n");
+  Metadata m = metadata("remembering");
+  m.architecture.kind = "foreign";
+  m.float32_parameters.clear();
+  m.memory = {2, 1, 1};
+  save_bundle(module, m, file(m.name));
+  Engine engine(options(), "remembering");
+  EXPECT_EQ(memory_values(engine.describe()), 2U);
+
+  const Tensor a = image(5, 6), b = image(5, 6, 2);
+  std::vector<float> first, second;
+  const auto one = engine.upscale({.frames = &a, .left = &first});
+  EXPECT_EQ(one.values[0], 0);
+  ASSERT_EQ(first.size(), 2U);
+  EXPECT_EQ(first[0], 0);
+  const auto two = engine.upscale({.frames = &b, .memory = first, .left = &second});
+  EXPECT_EQ(two.values[0], first[1]);
+  EXPECT_EQ(second[0], first[1]);
+
+  // With others in one batch every stream has its own, and the same bits.
+  std::vector<float> left[2];
+  const NetworkInput both[] = {{.frames = &a, .left = &left[0]}, {.frames = &b, .memory = first, .left = &left[1]}};
+  const auto results = engine.upscale(both);
+  EXPECT_EQ(results[0].values, one.values);
+  EXPECT_EQ(results[1].values, two.values);
+  EXPECT_EQ(left[0], first);
+  EXPECT_EQ(left[1], second);
+
+  const std::vector<float> three(3), bad{1, std::numeric_limits<float>::quiet_NaN()};
+  EXPECT_THAT(error_of([&] { engine.upscale({.frames = &a, .memory = three}); }).what(),
+              HasSubstr("state: 3 numbers, the bundle remembers 2"));
+  EXPECT_THAT(error_of([&] { engine.upscale({.frames = &a, .memory = bad}); }).what(), HasSubstr("not finite"));
+}
+
+TEST_F(EngineTest, AModuleThatRemembersSomethingElseIsNoBundle) {
+  torch::jit::Module module("Forgetful");
+  module.define("def forward(self, x, memory):\n  return torch.zeros_like(x).repeat([1, 1, 4, 4]), x\n");
+  Metadata m = metadata("forgetful");
+  m.architecture.kind = "foreign";
+  m.float32_parameters.clear();
+  m.memory = {2, 1, 1};
+  save_bundle(module, m, file(m.name));
+  EXPECT_THAT(error_of([&] { Engine(options(), "forgetful"); }).what(), HasSubstr("another shape"));
 }
 
 }  // namespace

@@ -133,5 +133,100 @@ TEST_F(ReplacedBundle, ServesNewSessionsAndDropsNone) {
   EXPECT_TRUE(process_->running());
 }
 
+/// A bundle that counts frames: each answer is the number of frames since it began anew.
+class RememberingBundle : public ReplacedBundle {
+ protected:
+  void SetUp() override {
+    ReplacedBundle::SetUp();
+    torch::jit::Module module("Counting");
+    module.define(
+        "def forward(self, x, memory):\n"
+        "  count = memory + 1.0\n"
+        "  return torch.zeros_like(x).repeat([1, 1, 4, 4]) + count, count\n");
+    Metadata m;
+    m.name = "counting";
+    m.architecture.kind = "counting";
+    conversion::GeometryImageSpec spec;
+    spec.image.coarse_width = kWidth, spec.image.coarse_height = kHeight;
+    m.representation.kind = spec;
+    m.input = m.output = {std::vector<float>(kChannels, 0), std::vector<float>(kChannels, 1), 0};
+    m.memory = {1, 1, 1};
+    save_bundle(module, m, (models_ / "counting.pt").string());
+  }
+
+  std::unique_ptr<Stream> counting() {
+    auto stream =
+        std::make_unique<Stream>([this](auto* context, auto* call) { stub_->async()->Upscale(context, call); },
+                                 rpc::FrameStreamOptions{.peer = "superres"});
+    v1::UpscaleRequest open;
+    open.mutable_open()->set_model("counting");
+    EXPECT_EQ(stream->open(open).state_values(), 1U);
+    return stream;
+  }
+
+  static v1::UpscaleResponse answer(Stream& stream, std::uint64_t index, const std::string& state = {}) {
+    Tensor image{{kChannels, kHeight, kWidth}, {}, {}};
+    image.values.assign(static_cast<std::size_t>(kChannels) * kHeight * kWidth, 0.25F);
+    v1::UpscaleRequest request;
+    request.mutable_frame()->set_index(index);
+    request.mutable_frame()->set_state(state);
+    to_message(image, request.mutable_frame()->mutable_image());
+    *request.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
+    stream.push(request);
+    v1::UpscaleResponse response;
+    EXPECT_TRUE(stream.pop(&response));
+    return response;
+  }
+  static float count(const v1::UpscaleResponse& response) {
+    return response.has_frame() ? from_message(response.frame().image(), "answer").values.at(0) : -1;
+  }
+};
+
+TEST_F(RememberingBundle, GoesOnFromTheFrameBeforeOrFromWhatTheMessageHas) {
+  const auto stream = counting();
+  v1::UpscaleResponse last;
+  for (std::uint64_t i = 0; i < 5; ++i) last = answer(*stream, i);
+  EXPECT_EQ(count(last), 5);
+  // Another stream, as after a kill, with what the last frame left.
+  const auto other = counting();
+  EXPECT_EQ(count(answer(*other, 5, last.frame().state())), 6);
+  EXPECT_EQ(count(answer(*other, 6)), 7);
+  // A gap, and a frame once more: nothing to go on from.
+  EXPECT_EQ(count(answer(*other, 9)), 1);
+  EXPECT_EQ(count(answer(*other, 9)), 1);
+  EXPECT_EQ(count(answer(*other, 10)), 2);
+}
+
+TEST_F(RememberingBundle, AStateThatIsNoneIsRefusedAndTheStreamGoesOn) {
+  const auto stream = counting();
+  const auto small = answer(*stream, 0, "abc");
+  ASSERT_TRUE(small.has_error());
+  EXPECT_EQ(small.error().message(), "frame.state: 3 bytes, the bundle remembers 4");
+  const auto bad = answer(*stream, 1, std::string("\x00\x00\xc0\x7f", 4));
+  ASSERT_TRUE(bad.has_error());
+  EXPECT_THAT(bad.error().message(), testing::HasSubstr("state: a number is not finite"));
+  EXPECT_EQ(count(answer(*stream, 2)), 1);
+  EXPECT_EQ(count(answer(*stream, 3)), 2);
+}
+
+TEST_F(RememberingBundle, ManyFramesInFlightKeepTheirOrder) {
+  const auto stream = counting();
+  Tensor image{{kChannels, kHeight, kWidth}, {}, {}};
+  image.values.assign(static_cast<std::size_t>(kChannels) * kHeight * kWidth, 0.25F);
+  std::uint64_t sent = 0;
+  for (std::uint64_t i = 0; i < 60; ++i) {
+    for (; sent < 60 && sent < i + 4; ++sent) {
+      v1::UpscaleRequest request;
+      request.mutable_frame()->set_index(sent);
+      to_message(image, request.mutable_frame()->mutable_image());
+      *request.mutable_frame()->mutable_alignment() = to_message(RigidTransform{});
+      stream->push(request);
+    }
+    v1::UpscaleResponse response;
+    ASSERT_TRUE(stream->pop(&response));
+    ASSERT_EQ(count(response), static_cast<float>(i + 1));
+  }
+}
+
 }  // namespace
 }  // namespace pleat::superres
