@@ -30,6 +30,8 @@ void visit(Visitor& v, Config& c) {
     v.choice("axes", c.vertex_features.axes, {"heading", "fixed"});
     v.range("passes", c.vertex_features.passes, 0, conversion::kMostPasses);
     v.range("anchor_weight", c.vertex_features.anchor_weight, 1e-6, 1e6);
+    v.choice("answer", c.vertex_features.answer, {"gradients", "features", "features_alone"});
+    v.choice("normalization", c.vertex_features.normalization, {"channel", "group", "range"});
   });
   v.choice("serves", c.serves, {"mesh", "any"});
   v.section("images", [&] {
@@ -52,10 +54,21 @@ void visit(Visitor& v, Config& c) {
     v.range("vertex_normals", c.losses.vertex_normals, 0, 1e6);
     v.range("edges", c.losses.edges, 0, 1e6);
     v.range("wrinkles", c.losses.wrinkles, 0, 1e6);
+    v.range("codes", c.losses.codes, 0, 1e6);
     v.range("frames", c.losses.frames, 1, 16);
     v.choice("target", c.losses.target, {"synthesized", "ground_truth"});
     v.choice("alignment", c.losses.alignment, {"exact", "shared"});
     v.choice("scaling", c.losses.scaling, {"none", "deviation"});
+  });
+  v.section("history", [&] {
+    v.range("frames", c.history.frames, 1, 256);
+    v.range("share", c.history.share, 0, 1);
+    v.range("starts", c.history.starts, 0, 1);
+    v.range("noise", c.history.noise, 0, 10);
+  });
+  v.section("autoencoders", [&] {
+    v.range("epochs", c.autoencoders.epochs, 0, 1000000);
+    v.range("largest", c.autoencoders.largest, 0, 1e6);
   });
   v.section("optimizer", [&] {
     v.range("learning_rate", c.optimizer.learning_rate, 0, 10);
@@ -256,6 +269,16 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
   }
   if (config.representation == "vertex_features" && (config.patch != 0 || config.mirror)) {
     throw_invalid_argument(source + ": key 'representation' = 'vertex_features' needs 'patch' = 0 and no 'mirror'");
+  }
+  if (config.representation == "vertex_features" && config.vertex_features.answer == "features_alone" &&
+      config.losses.needs_vertices()) {
+    throw_invalid_argument(source +
+                           ": keys 'losses.vertices', '.vertex_normals', '.edges' and '.wrinkles' need offsets, " +
+                           "'vertex_features.answer' is 'features_alone'");
+  }
+  if (config.autoencoders.epochs >= config.epochs) {
+    throw_invalid_argument(source + ": key 'autoencoders.epochs' leaves none of the " + std::to_string(config.epochs) +
+                           " 'epochs' for the rest");
   }
   if (config.losses.needs_vertices() && config.patch != 0) {
     throw_invalid_argument(source +

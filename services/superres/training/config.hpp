@@ -28,6 +28,25 @@ struct FeaturesConfig {
   std::string axes = "heading";             ///< of the values: "heading", turned with the cloth, or "fixed"
   int passes = conversion::kDefaultPasses;  ///< corrections of an answer's positions by its gradients
   double anchor_weight = conversion::kDefaultAnchorWeight;
+  std::string answer = "gradients";  ///< or "features", "features_alone" (conversion::AnswerKind)
+  /// Of inputs and answers. "channel": mean and deviation of each; "group": one deviation for rotations, one for
+  /// stretches and so on, zero at rest; "range": one smallest and largest value for each such group, mapped to -0.95 to
+  /// 0.95, as published.
+  std::string normalization = "channel";
+};
+
+/// Of networks that remember (Description::memory).
+struct HistoryConfig {
+  int frames = 8;       ///< consecutive frames of a window
+  double share = 0.1;   ///< of the steps, in which a window's frames go on from the network's own answers
+  double starts = 0.1;  ///< of the windows, which are the first frames of a sequence
+  double noise = 0.03;  ///< deviation of what is added to true answers in the others, in units of the memory's own
+};
+
+/// Of networks with autoencoders (Description::twins).
+struct AutoencoderConfig {
+  int epochs = 0;      ///< in which they alone are trained; then they stay as they are
+  double largest = 5;  ///< codes beyond +-largest cost something, linearly
 };
 
 struct LossConfig {
@@ -35,6 +54,7 @@ struct LossConfig {
   int frames = 3;                                                               ///< n of eq. 5
   /// Weights of the losses on the fine mesh that is read from the image: positions, normals, lengths of edges.
   double vertices = 0, vertex_normals = 0, edges = 0;
+  double codes = 0;  ///< of the one on what the network remembers: squared difference to what a true answer would leave
   double wrinkles = 0;                 ///< of the one on the amount of wrinkling by scale, wherever the folds lie
   std::string target = "synthesized";  ///< d_k of eq. 5: "synthesized" (the paper) or "ground_truth" (its supplement)
   std::string alignment = "exact";     ///< "exact": each frame's own rigid alignment; "shared": the first one's, eq. 5
@@ -81,6 +101,8 @@ struct TrainConfig {
   FeaturesConfig vertex_features;                 ///< of the latter
   int window = 1;                                 ///< frames that the network reads at once
   int window_stride = 1;                          ///< from one of them to the next
+  HistoryConfig history;
+  AutoencoderConfig autoencoders;
   LossConfig losses;
   OptimizerConfig optimizer;
   ScheduleConfig schedule;

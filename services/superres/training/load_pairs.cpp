@@ -2,6 +2,7 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
 
@@ -22,11 +23,23 @@ namespace {
 using nlohmann::json;
 
 constexpr std::size_t kMeasuredFrames = 256;
-constexpr float kDetailLimit = 6;  ///< folds have curvatures far beyond the deviation
+constexpr double kPublishedRange = 0.95;  ///< to whose positive and negative [acap] maps its features
+constexpr float kDetailLimit = 6;         ///< folds have curvatures far beyond the deviation
+
+/// A feature's value at rest.
+double rest_of(const std::string& channel) {
+  for (const char* one : {"rotation_w", "stretch_xx", "stretch_yy", "stretch_zz"}) {
+    if (channel.rfind(one, 0) == 0) return 1;
+  }
+  return 0;
+}
 
 conversion::VertexFeatureSpec features_spec(const FeaturesConfig& c) {
+  const auto answer = c.answer == "features"         ? conversion::AnswerKind::kFeatures
+                      : c.answer == "features_alone" ? conversion::AnswerKind::kFeaturesAlone
+                                                     : conversion::AnswerKind::kGradients;
   return {c.rotation == "quaternion" ? conversion::RotationCode::kQuaternion : conversion::RotationCode::kLogarithm,
-          c.axes == "fixed", c.passes, c.anchor_weight};
+          c.axes == "fixed", c.passes, c.anchor_weight, answer};
 }
 
 conversion::GeometryImageSpec image_spec(const ImagesConfig& c) {
@@ -158,6 +171,7 @@ class Loader {
     data.input_channels = representation_->input_channels();
     data.answer_channels = representation_->answer_channels();
     data.constants = representation_->constants();
+    data.mesh = make_mesh_ports(*representation_);
     data.answer_mask = representation_->answer_mask();
     data.frame_time_s = master().frame_time_s;
     const Topology& coarse = master().topology.coarse;
@@ -170,7 +184,12 @@ class Loader {
     key_.answer_channels = static_cast<int>(answer[0]);
     key_.height = static_cast<int>(input[1]), key_.width = static_cast<int>(input[2]);
     key_.scale = static_cast<int>(answer[1] / input[1]);
-    if (config_.cache == "uint16") key_.fixed_point = data.detail() ? kUnitDeviation : kUnitRange;
+    if (config_.cache == "uint16") {
+      const bool features = config_.representation == "vertex_features";
+      key_.fixed_point = features && config_.vertex_features.normalization == "range" ? kAroundZero
+                         : features || data.detail()                                  ? kUnitDeviation
+                                                                                      : kUnitRange;
+    }
   }
 
   void check_size() const {
@@ -207,7 +226,10 @@ class Loader {
           answers.add(frame.answer, representation_->answer_mask());
         });
       }
-      if (data.detail()) {
+      if (config_.representation == "vertex_features") {
+        data.input_ranges = features_ranges(inputs, data.input_channels, false);
+        data.output_ranges = features_ranges(answers, data.answer_channels, data.detail());
+      } else if (data.detail()) {
         // An answer of zeros stays the coarse surface.
         data.input_ranges = inputs.moments(), data.output_ranges = answers.moments();
         data.input_ranges.limit = kDetailLimit;
@@ -223,6 +245,43 @@ class Loader {
     }
   }
 
+  /// By key 'vertex_features.normalization'. detail: zeros have to stay zeros.
+  ChannelRanges features_ranges(const RangeMeasure& measure, const std::vector<std::string>& channels,
+                                bool detail) const {
+    const std::string& how = config_.vertex_features.normalization;
+    ChannelRanges ranges = measure.moments();
+    const auto count = channels.size();
+    if (how == "channel") {
+      // What is read is cut off far out: collapsed one-rings have any values.
+      if (&channels == &loaded_.data.input_channels) ranges.limit = kDetailLimit;
+      if (detail) std::fill(ranges.offset.begin(), ranges.offset.end(), 0.0F);
+      return ranges;
+    }
+    const ChannelRanges extremes = measure.extremes();
+    const auto group = [&](std::size_t c) { return channels[c].substr(0, channels[c].find('_')); };
+    ChannelRanges result = ranges;
+    for (std::size_t c = 0; c < count; ++c) {
+      double square = 0, low = std::numeric_limits<double>::infinity(), high = -low, members = 0;
+      for (std::size_t other = 0; other < count; ++other) {
+        if (group(other) != group(c)) continue;
+        const double rest = rest_of(channels[other]), mean = static_cast<double>(ranges.offset[other]) - rest;
+        square += mean * mean + std::pow(static_cast<double>(ranges.scale[other]), 2);
+        low = std::min(low, static_cast<double>(extremes.offset[other]));
+        high = std::max(high, static_cast<double>(extremes.offset[other]) + static_cast<double>(extremes.scale[other]));
+        ++members;
+      }
+      if (how == "group") {
+        result.offset[c] = static_cast<float>(detail ? 0.0 : rest_of(channels[c]));
+        result.scale[c] = static_cast<float>(std::sqrt(square / members));
+      } else {
+        result.offset[c] = static_cast<float>(detail ? 0.0 : (low + high) / 2);
+        result.scale[c] =
+            static_cast<float>((detail ? std::max(std::abs(low), std::abs(high)) : (high - low) / 2) / kPublishedRange);
+      }
+    }
+    return result;
+  }
+
   std::uint64_t content_of(const SequenceInfo& info) const {
     const std::filesystem::path finished = std::filesystem::path(config_.dataset) / "sequences" / (info.name + ".h5");
     const std::filesystem::path file = info.finished ? finished : std::filesystem::path(finished.string() + ".partial");
@@ -232,7 +291,7 @@ class Loader {
     const FeaturesConfig& f = config_.vertex_features;
     const json content{{"topology", {loaded_.data.topology_hash, info.topology_hash}},
                        {"images", {c.layout, c.base, c.units, key_.width, key_.height, c.scale, c.method, c.lambda}},
-                       {"representation", {config_.representation, f.rotation, f.axes}},
+                       {"representation", {config_.representation, f.rotation, f.axes, f.answer, f.normalization}},
                        {"window", {config_.window, config_.window_stride}},
                        {"input", ranges_json(loaded_.data.input_ranges)},
                        {"output", ranges_json(loaded_.data.output_ranges)},

@@ -21,6 +21,9 @@ struct Batch {
   /// For losses on vertices, else undefined: (N, 3, V) the fine mesh without the answer's part, and (N, 3 x 3, h, w)
   /// the axes of the answer's vectors, undefined if they are the alignment's.
   torch::Tensor vertex_base, axes;
+  /// For networks that remember R frames, else undefined: (B, R, C, H, W) the answers to the frames before each window,
+  /// the oldest first, and (B, R) 0 for those that do not exist.
+  torch::Tensor before, known;
   int frames = 1;  ///< F
 
   void to(torch::Device device);

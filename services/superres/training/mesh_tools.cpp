@@ -2,9 +2,12 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
+#include <span>
+#include <variant>
 
 #include "common/base/error.hpp"
 #include "common/mesh/connectivity.hpp"
+#include "services/conversion/vertex_features/rotation_labels.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -106,6 +109,56 @@ MeshRead make_mesh_read(const conversion::Representation& representation) {
   }
   result.edges.insert(result.edges.end(), ends.begin(), ends.end());
   return result;
+}
+
+namespace {
+
+PlaceMap ring_of(const Topology& mesh) {
+  std::vector<std::vector<std::int64_t>> neighbours(static_cast<std::size_t>(mesh.vertex_count()));
+  for (const Edge& edge : build_connectivity(mesh.vertex_count(), mesh.faces).edges) {
+    neighbours[edge.v0].push_back(edge.v1);
+    neighbours[edge.v1].push_back(edge.v0);
+  }
+  PlaceMap map;
+  map.columns = mesh.vertex_count();
+  for (const auto& own : neighbours) map.add(own);
+  return map;
+}
+
+}  // namespace
+
+std::shared_ptr<const MeshPorts> make_mesh_ports(const conversion::Representation& representation) {
+  const auto* spec = std::get_if<conversion::VertexFeatureSpec>(&representation.spec().kind);
+  if (spec == nullptr) return nullptr;
+  constexpr int kCorners = 3;
+  auto ports = std::make_shared<MeshPorts>();
+  ports->corners = kCorners;
+  ports->features = conversion::rotation_channels(spec->rotation) + 6;
+  const Topology &coarse = representation.coarse(), &fine = representation.fine();
+  std::vector<std::int64_t> corner(static_cast<std::size_t>(coarse.vertex_count()), -1);
+  for (Eigen::Index face = 0; face < coarse.face_count(); ++face) {
+    for (Eigen::Index k = 0; k < kCorners; ++k) {
+      std::int64_t& place = corner[coarse.faces(face, k)];
+      if (place < 0) place = k * coarse.face_count() + face;
+    }
+  }
+  ports->coarse.columns = kCorners * coarse.face_count();
+  for (const std::int64_t place : corner) ports->coarse.add({place});
+  ports->coarse_ring = ring_of(coarse);
+  ports->fine_ring = ring_of(fine);
+
+  const conversion::VertexReads& reads = representation.reads();
+  const auto places = representation.answer_mask().size();
+  std::vector<std::int64_t> vertex(places, -1);
+  ports->fine.columns = static_cast<std::int64_t>(places);
+  for (std::size_t v = 0; v + 1 < reads.offsets.size(); ++v) {
+    const auto own = std::span(reads.places).subspan(reads.offsets[v], reads.offsets[v + 1] - reads.offsets[v]);
+    ports->fine.add({own.begin(), own.end()});
+    for (const std::uint32_t place : own) vertex[place] = static_cast<std::int64_t>(v);
+  }
+  ports->fine_read.columns = fine.vertex_count();
+  for (const std::int64_t v : vertex) ports->fine_read.add(v < 0 ? std::vector<std::int64_t>{} : std::vector{v});
+  return ports;
 }
 
 std::vector<std::array<float, 3>> flat_sheet_axes(const Topology& mesh) {

@@ -54,6 +54,9 @@ class FrameJudge final : public MeshJudge {
 
 MeshRead make_mesh_read(const conversion::Representation& representation);
 
+/// What a network needs to know to convolve on the meshes of a representation of vertex features; null for another.
+std::shared_ptr<const MeshPorts> make_mesh_ports(const conversion::Representation& representation);
+
 /// u and v directions if the rest positions are an affine function of the material coordinates, and those are mirror
 /// symmetric as a rectangle is; else empty.
 std::vector<std::array<float, 3>> flat_sheet_axes(const Topology& mesh);

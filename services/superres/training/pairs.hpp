@@ -28,6 +28,8 @@ struct FixedPoint {
 /// Of values that are mostly in [0, 1]: a step of 3e-5, an RMS error of 9e-6 (100 dB), where half precision would have
 /// 2e-4 near 1.
 inline constexpr FixedPoint kUnitRange{-0.5F, 2};
+/// Of values that are mostly in [-1, 1]: a step of 6e-5.
+inline constexpr FixedPoint kAroundZero{-2, 4};
 /// Of values whose deviation is 1: a step of 1e-3.
 inline constexpr FixedPoint kUnitDeviation{-32, 64};
 
@@ -109,6 +111,7 @@ struct PairData {
   ChannelRanges input_ranges, output_ranges;                 ///< of one frame, and of an answer
   std::vector<std::string> input_channels, answer_channels;  ///< the same: names
   Tensor constants;                                          ///< (K, h, w), or without a shape
+  std::shared_ptr<const MeshPorts> mesh;  ///< for networks that convolve on meshes; null: the places are no mesh's
   double frame_time_s = 0;
   std::string topology_hash;                ///< of the coarse mesh
   std::vector<float> rest_positions;        ///< (V x 3) of the coarse mesh

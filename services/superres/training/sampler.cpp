@@ -27,9 +27,18 @@ class Random {
 
 }  // namespace
 
-Sampler::Sampler(const TrainConfig& config, const PairData& data) : config_(config), data_(data) {
+Sampler::Sampler(const TrainConfig& config, const PairData& data, int remembered)
+    : config_(config), data_(data), remembered_(remembered) {
   data.check();
   frames_ = config.losses.kinematic > 0 ? config.losses.frames + 1 : 1;
+  if (remembered > 0) {
+    if (config.every_frames > 1 || config.patch != 0 || config.mirror || config.losses.kinematic > 0) {
+      throw_invalid_argument(
+          "key 'architecture': a network that remembers needs 'every_frames' = 1, 'patch' = 0, no 'mirror' and "
+          "'losses.kinematic' = 0");
+    }
+    frames_ = config.history.frames;
+  }
   scale_ = data.scale();
   const int height = data.height(), width = data.width();
   patch_height_ = config.patch == 0 ? height : std::min(config.patch, height);
@@ -72,7 +81,42 @@ std::vector<Sampler::Window> Sampler::windows_of(int epoch, int step) const {
     }
     result.push_back(windows_[order[i % count]]);
   }
+  for (std::size_t k = 0; remembered_ > 0 && k < result.size(); ++k) {
+    Random random(config_.seed, epoch, step, k, 3);
+    if (unit_interval(random.next()) < config_.history.starts) result[k].first = 0;
+  }
   return result;
+}
+
+bool Sampler::is_free(int epoch, int step) const {
+  Random random(config_.seed, epoch, step, 4);
+  return unit_interval(random.next()) < config_.history.share;
+}
+
+torch::Tensor Sampler::noise(int epoch, int step, int first, const torch::Tensor& like) const {
+  auto result = torch::empty(like.sizes(), torch::kFloat32);
+  for (std::int64_t n = 0; n < like.size(0); ++n) {
+    Random random(config_.seed, epoch, step, first + n, 5);
+    auto row = result[n];
+    float* values = row.data_ptr<float>();
+    for (std::int64_t i = 0; i < row.numel(); ++i) {
+      const double radius = std::sqrt(-2 * std::log(1 - unit_interval(random.next())));
+      values[i] = static_cast<float>(radius * std::cos(6.283185307179586 * unit_interval(random.next())));
+    }
+  }
+  return result.to(like.device());
+}
+
+void Sampler::read_before(const Window& window, Batch& batch, std::int64_t n) const {
+  const PairSequence& sequence = data_.sequences[window.sequence];
+  for (int k = 0; k < remembered_; ++k) {
+    const auto back = static_cast<std::size_t>(remembered_ - k);
+    if (back > window.first) continue;
+    auto answer = batch.before[n][k];
+    sequence.answer.read(window.first - back, 0, 0, scale_ * data_.height(), scale_ * data_.width(),
+                         answer.data_ptr<float>());
+    batch.known[n][k] = 1.0F;
+  }
 }
 
 std::string Sampler::describe(int epoch, int step) const {
@@ -154,8 +198,14 @@ Batch Sampler::batch(int epoch, int step, int first_window, int last_window) con
     batch.vertex_base = torch::empty({images, 3, rest_.size(1)});
     if (data_.geometry && data_.has_axes()) batch.axes = torch::empty({images, 3 * 3, h, w});
   }
+  if (remembered_ > 0) {
+    const std::int64_t count = last_window - first_window;
+    batch.before = torch::zeros({count, remembered_, any.answer.channels(), scale_ * h, scale_ * w});
+    batch.known = torch::zeros({count, remembered_});
+  }
   for (int index = first_window; index < last_window; ++index) {
     const Window& window = windows[static_cast<std::size_t>(index)];
+    if (remembered_ > 0) read_before(window, batch, index - first_window);
     const Cut cut = cut_of(epoch, step, index);
     for (int f = 0; f < frames_; ++f) {
       const auto n = static_cast<std::int64_t>(batch.mirrors.size());

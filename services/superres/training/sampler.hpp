@@ -16,7 +16,8 @@ class Sampler {
  public:
   /// Throws kInvalidArgument if no training sequence is as long as a window, mirror is asked for and can't be had, or
   /// losses on vertices are and the data know no vertices.
-  Sampler(const TrainConfig& config, const PairData& data);
+  /// remembered: frames of what the network remembers; then windows have config.history.frames frames.
+  Sampler(const TrainConfig& config, const PairData& data, int remembered = 0);
 
   int steps_per_epoch() const { return steps_; }
   int frames_per_window() const { return frames_; }
@@ -33,6 +34,11 @@ class Sampler {
   /// Valid texels of all images of a step.
   double valid_texels(int epoch, int step) const;
 
+  /// Whether the frames of a step go on from the network's own answers.
+  bool is_free(int epoch, int step) const;
+  /// Numbers of mean 0 and deviation 1 as large as `like`, (B, ...), for windows [first, first + B) of a step.
+  torch::Tensor noise(int epoch, int step, int first, const torch::Tensor& like) const;
+
   /// The windows of a step, "sequence name:first frame, ...", for error messages.
   std::string describe(int epoch, int step) const;
 
@@ -48,10 +54,12 @@ class Sampler {
   std::vector<Window> windows_of(int epoch, int step) const;
   Cut cut_of(int epoch, int step, int window) const;
   void read_image(const PairSequence& sequence, std::size_t frame, const Cut& cut, Batch& batch, std::int64_t n) const;
+  void read_before(const Window& window, Batch& batch, std::int64_t n) const;
   void read_vertices(std::size_t sequence, std::size_t frame, Batch& batch, std::int64_t n) const;
 
   const TrainConfig& config_;
   const PairData& data_;
+  int remembered_;
   int frames_, patch_height_, patch_width_, scale_, steps_;
   std::vector<Window> windows_;
   std::optional<Mirror> mirror_;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <filesystem>
 
+#include "common/mesh/connectivity.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/superres/training/pairs.hpp"
@@ -381,6 +382,90 @@ TEST_F(LoadPairs, StoppingIsHeardWhileImagesAreConverted) {
 
 TEST_F(LoadPairs, AbsentDataSetIsNamed) {
   EXPECT_EQ(error_of([&] { load_pairs(config(), quiet); }).code(), ErrorCode::kNotFound);
+}
+
+TEST_F(LoadPairs, FeaturesAreScaledByChannelByGroupOrToThePublishedRange) {
+  write(false);
+  TrainConfig c = config();
+  c.representation = "vertex_features";
+  c.patch = 0, c.losses.kinematic = 0;
+  c.vertex_features.answer = "features";
+  c.cache = "float32";
+  const auto ranges = [&](const char* how) {
+    c.vertex_features.normalization = how;
+    return load_pairs(c, quiet).data;
+  };
+  const PairData by_channel = ranges("channel"), by_group = ranges("group"), published = ranges("range");
+  const auto& names = by_group.answer_channels;
+  ASSERT_EQ(names.size(), 12U);
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    const bool diagonal = names[i] == "stretch_xx" || names[i] == "stretch_yy" || names[i] == "stretch_zz";
+    EXPECT_EQ(by_group.output_ranges.offset[i], diagonal ? 1.0F : 0.0F) << names[i];
+    const std::size_t first = i < 3 ? 0 : i < 6 ? 3 : 6;
+    EXPECT_EQ(by_group.output_ranges.scale[i], by_group.output_ranges.scale[first]);
+    EXPECT_EQ(published.output_ranges.scale[i], published.output_ranges.scale[first]);
+    EXPECT_EQ(published.output_ranges.offset[i], published.output_ranges.offset[first]);
+  }
+  EXPECT_NE(by_channel.output_ranges.scale[3], by_channel.output_ranges.scale[4]);
+  EXPECT_EQ(published.input_ranges.limit, 0) << "live values beyond the range are kept";
+  // Each group reaches both ends of the published range, and nothing lies beyond.
+  const ImageStore& answers = published.sequences[0].answer;
+  std::vector<float> values(12 * static_cast<std::size_t>(answers.height()) *
+                            static_cast<std::size_t>(answers.width()));
+  float low[3] = {1, 1, 1}, high[3] = {-1, -1, -1};
+  for (std::size_t f = 0; f < answers.size(); ++f) {
+    answers.read(f, 0, 0, answers.height(), answers.width(), values.data());
+    const std::size_t plane = values.size() / 12;
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      if (published.answer_mask[i % plane] == 0) continue;
+      const std::size_t channel = i / plane, group = channel < 3 ? 0 : channel < 6 ? 1 : 2;
+      low[group] = std::min(low[group], values[i]), high[group] = std::max(high[group], values[i]);
+    }
+  }
+  for (int group = 0; group < 3; ++group) {
+    EXPECT_NEAR(low[group], -0.95F, 1e-4F) << group;
+    EXPECT_NEAR(high[group], 0.95F, 1e-4F) << group;
+  }
+}
+
+TEST_F(LoadPairs, ANetworkThatConvolvesKnowsTheMeshes) {
+  write(false);
+  TrainConfig c = config();
+  EXPECT_EQ(load_pairs(c, quiet).data.mesh, nullptr);
+  c.representation = "vertex_features";
+  c.patch = 0, c.losses.kinematic = 0;
+  for (const char* answer : {"gradients", "features_alone"}) {
+    c.vertex_features.answer = answer;
+    const PairData data = load_pairs(c, quiet).data;
+    const MeshPorts& mesh = *data.mesh;
+    const Topology &coarse = master_.topology.coarse, &fine = master_.topology.fine;
+    EXPECT_EQ(mesh.corners, 3);
+    EXPECT_EQ(mesh.features, 9);
+    ASSERT_EQ(mesh.coarse.rows(), coarse.vertex_count());
+    for (Eigen::Index v = 0; v < coarse.vertex_count(); ++v) {
+      const std::int64_t place = mesh.coarse.places[static_cast<std::size_t>(v)];
+      EXPECT_EQ(coarse.faces(place % coarse.face_count(), place / coarse.face_count()), v);
+    }
+    std::size_t edges = 0;
+    for (const auto& [map, topology] : {std::pair{&mesh.coarse_ring, &coarse}, std::pair{&mesh.fine_ring, &fine}}) {
+      edges = build_connectivity(topology->vertex_count(), topology->faces).edges.size();
+      EXPECT_EQ(map->rows(), topology->vertex_count());
+      EXPECT_EQ(map->places.size(), 2 * edges);
+    }
+    // Reading and writing are inverse.
+    ASSERT_EQ(mesh.fine_read.rows(), static_cast<std::int64_t>(data.answer_mask.size()));
+    for (Eigen::Index v = 0; v < fine.vertex_count(); ++v) {
+      const auto first = mesh.fine.offsets[static_cast<std::size_t>(v)],
+                 last = mesh.fine.offsets[static_cast<std::size_t>(v) + 1];
+      EXPECT_GE(last - first, 1);
+      if (answer == std::string("features_alone")) EXPECT_EQ(last - first, 1);
+      for (auto k = first; k < last; ++k) {
+        const auto place = static_cast<std::size_t>(mesh.fine.places[static_cast<std::size_t>(k)]);
+        ASSERT_EQ(mesh.fine_read.offsets[place + 1] - mesh.fine_read.offsets[place], 1);
+        EXPECT_EQ(mesh.fine_read.places[static_cast<std::size_t>(mesh.fine_read.offsets[place])], v);
+      }
+    }
+  }
 }
 
 }  // namespace

@@ -360,6 +360,15 @@ TEST_F(TrainerTest, EveryRegisteredNetworkLearns) {
     double first = 0;
     TrainHooks hooks;
     hooks.progress = [&](int, double, double loss) { first = first > 0 ? first : loss; };
+    if (kind == "published") {  // images are no meshes
+      try {
+        train(c, data, nullptr, hooks);
+        ADD_FAILURE() << "trained without meshes";
+      } catch (const Error& error) {
+        EXPECT_THAT(error.what(), HasSubstr("needs the meshes"));
+      }
+      continue;
+    }
     const TrainResult result = train(c, data, nullptr, hooks);
     EXPECT_LT(result.last.total, 0.5 * first) << kind;
     EXPECT_EQ(read_metadata(c.output, "waves").architecture.kind, kind);
