@@ -85,7 +85,8 @@ std::optional<v1::ModelDescription> load_bundle(const fs::path& file, const fs::
 struct StartedSimulation {
   std::unique_ptr<SimulationSource> source;
   v1::SimulateOpened opened;
-  std::shared_ptr<const FoldMemory> fold;  ///< of the check-point
+  std::shared_ptr<const FoldMemory> fold;        ///< of the check-point
+  std::shared_ptr<const NetworkMemory> network;  ///< the same
 };
 
 StartedSimulation start_simulation(ActiveJob& job, SimulationSource::Options options, const fs::path& file,
@@ -103,6 +104,7 @@ StartedSimulation start_simulation(ActiveJob& job, SimulationSource::Options opt
     try {
       auto started = start();
       started.fold = checkpoint->fold;
+      started.network = checkpoint->network;
       if (started.opened.next_index() <= wanted) return started;
     } catch (const Error& e) {
       // A check-point of another build of the service costs time, not the job.
@@ -122,11 +124,15 @@ class PendingCheckpoints {
     const std::lock_guard lock(mutex_);
     pending_[index] = {index, std::move(state)};
   }
-  /// What the fold step left, before its frame is stored.
-  void add_fold(const std::shared_ptr<const FoldMemory>& memory) {
+  /// What the fold step and the network left, before their frame is stored. The frame gives it away.
+  void add_memories(PipelineFrame& frame) {
     const std::lock_guard lock(mutex_);
-    if (memory == nullptr) return;
-    if (const auto found = pending_.find(memory->sequence); found != pending_.end()) found->second.fold = memory;
+    if (const auto found = pending_.find(frame.sequence); found != pending_.end()) {
+      found->second.fold = frame.fold_memory;
+      found->second.network = frame.network_memory;
+    }
+    frame.fold_memory.reset();
+    frame.network_memory.reset();
   }
   void frames_are_stored(std::uint64_t frames) {
     std::optional<Checkpoint> newest;
@@ -180,8 +186,9 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   auto started = start_simulation(job, simulation, folder / "checkpoint.bin", frames_on_disk(partial));
   const auto start_anew = [&] { started = start_simulation(job, simulation, {}, 0); };
   // The fold step goes on from what it left, and that is kept at check-points alone: the frames behind it are made
-  // again, and have the bits that are on disk.
-  if (fold && started.opened.next_index() > 0 && !started.fold) start_anew();
+  // again, and have the bits that are on disk. So do networks that remember.
+  const bool remembers = network_remembers(session);
+  if (started.opened.next_index() > 0 && ((fold && !started.fold) || (remembers && !started.network))) start_anew();
   session.coarse = started.opened.coarse();
   session.obstacles = started.opened.obstacles();
   const Topology coarse = from_message(session.coarse, "the simulation's coarse mesh");
@@ -245,7 +252,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
     });
   };
   const Counts before = counts_of(partial);
-  std::uint64_t begin = fold ? started.opened.next_index() : frames_on_disk(partial);
+  std::uint64_t begin = fold || remembers ? started.opened.next_index() : frames_on_disk(partial);
   auto earlier = earlier_frames(partial, begin, session.representation, options.frame_time_s);
   Recorder recorder(result, options, subdivision, settings_.window,
                     {.stored = stored, .failed = [&](const Error& cause) { job.abort(cause); }});
@@ -274,6 +281,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   SimulationSource& source = *started.source;
   session.first_sequence = begin;
   session.fold_memory = started.fold;
+  session.network_memory = started.network;
   session.earlier = std::move(earlier);
   try {
     if (bundle && first > 0) {
@@ -284,8 +292,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
     EnhancementPipeline pipeline(
         addresses_, link_, session, fine_vertices, topology_hash(subdivision.fine),
         [&](std::unique_ptr<PipelineFrame> frame) {
-          checkpoints.add_fold(frame->fold_memory);
-          frame->fold_memory.reset();
+          checkpoints.add_memories(*frame);
           if (frame->index >= first) recorder.add(std::move(frame));
         },
         [&] { source.cancel(); });

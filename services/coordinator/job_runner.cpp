@@ -19,7 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char kCheckpointMagic[8] = {'P', 'L', 'E', 'A', 'T', 'C', 'P', '2'};
+constexpr char kCheckpointMagic[8] = {'P', 'L', 'E', 'A', 'T', 'C', 'P', '3'};
 constexpr auto kCancelWait = std::chrono::seconds(5);
 constexpr auto kSweepInterval = std::chrono::minutes(1);
 
@@ -53,10 +53,12 @@ std::optional<fs::path> result_file(const fs::path& job_folder) {
 
 void save_checkpoint(const fs::path& path, const Checkpoint& checkpoint) {
   const std::string fold = checkpoint.fold ? checkpoint.fold->state.SerializeAsString() : std::string();
-  const std::uint64_t header[] = {checkpoint.index, fold.size()};
+  const std::string network = checkpoint.network ? checkpoint.network->state : std::string();
+  const std::uint64_t header[] = {checkpoint.index, fold.size(), network.size()};
   std::string content(kCheckpointMagic, sizeof kCheckpointMagic);
   content.append(reinterpret_cast<const char*>(header), sizeof header);
   content += fold;
+  content += network;
   content += checkpoint.state;
   write_whole_file(path, content);
 }
@@ -64,21 +66,27 @@ void save_checkpoint(const fs::path& path, const Checkpoint& checkpoint) {
 std::optional<Checkpoint> load_checkpoint(const fs::path& path) {
   const auto content = path.empty() ? std::nullopt : read_file(path);
   Checkpoint checkpoint;
-  std::uint64_t header[2] = {};
+  std::uint64_t header[3] = {};
   constexpr std::size_t kHeader = sizeof kCheckpointMagic + sizeof header;
   if (!content || content->size() <= kHeader) return std::nullopt;
   if (std::memcmp(content->data(), kCheckpointMagic, sizeof kCheckpointMagic) != 0) return std::nullopt;
   std::memcpy(header, content->data() + sizeof kCheckpointMagic, sizeof header);
-  const std::uint64_t fold_size = header[1];
+  const std::uint64_t fold_size = header[1], network_size = header[2], rest = content->size() - kHeader;
   checkpoint.index = header[0];
-  if (fold_size >= content->size() - kHeader) return std::nullopt;
+  if (fold_size >= rest || network_size >= rest - fold_size) return std::nullopt;
   if (fold_size > 0) {
     auto memory = std::make_shared<FoldMemory>();
     memory->sequence = checkpoint.index;
     if (!memory->state.ParseFromString(content->substr(kHeader, fold_size))) return std::nullopt;
     checkpoint.fold = std::move(memory);
   }
-  checkpoint.state = content->substr(kHeader + fold_size);
+  if (network_size > 0) {
+    auto memory = std::make_shared<NetworkMemory>();
+    memory->sequence = checkpoint.index;
+    memory->state = content->substr(kHeader + fold_size, network_size);
+    checkpoint.network = std::move(memory);
+  }
+  checkpoint.state = content->substr(kHeader + fold_size + network_size);
   return checkpoint;
 }
 

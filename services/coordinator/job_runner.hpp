@@ -89,11 +89,12 @@ class JobRunner {
 std::optional<std::filesystem::path> result_file(const std::filesystem::path& job_folder);
 
 /// A check-point of a simulation in a file, with the index of the frame that it was made after, and what the fold step
-/// left there (null where it is not in use, or did not make the frame).
+/// and the network left there (null where they are not in use or remember nothing, or did not make the frame).
 struct Checkpoint {
   std::uint64_t index = 0;
   std::string state;
   std::shared_ptr<const FoldMemory> fold = {};
+  std::shared_ptr<const NetworkMemory> network = {};
 };
 void save_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
 /// Nothing if there is no usable one.

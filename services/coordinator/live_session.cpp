@@ -261,6 +261,12 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
       session.earlier.push_back(frame);
     }
     session.first_sequence = before.frames();
+    if (!before.network_state().empty()) {
+      auto left = std::make_shared<NetworkMemory>();
+      left->sequence = before.frames() - 1;
+      left->state.swap(*before.mutable_network_state());
+      session.network_memory = std::move(left);
+    }
     if (!before.has_fold()) return;
     auto left = std::make_shared<FoldMemory>();
     left->sequence = before.frames() - 1;

@@ -63,6 +63,29 @@ struct UpscaleRpc {
   }
 };
 
+/// Of a network that remembers: frames one after the other.
+struct RememberingUpscaleRpc : UpscaleRpc {
+  using Memory = NetworkMemory;
+  static void absorb(PipelineFrame& frame, v1::ImageFrame& answer) {
+    auto memory = std::make_shared<Memory>();
+    memory->sequence = frame.sequence;
+    memory->state.swap(*answer.mutable_state());
+    answer.clear_state();
+    frame.network_memory = std::move(memory);
+    UpscaleRpc::absorb(frame, answer);
+  }
+  static std::shared_ptr<const Memory> memory_of(const PipelineFrame& frame) { return frame.network_memory; }
+  /// As FoldRpc's. The request's index is the frame's place in the session.
+  static std::shared_ptr<const google::protobuf::Message> resumed(
+      std::shared_ptr<const google::protobuf::Message> request, const Memory& memory) {
+    const auto& first = static_cast<const Request&>(*request);
+    if (memory.sequence + 1 != first.frame().index()) return request;
+    auto with_state = std::make_shared<Request>(first);
+    with_state->mutable_frame()->set_state(memory.state);
+    return with_state;
+  }
+};
+
 struct ToMeshRpc {
   using Service = v1::Conversion;
   using Request = v1::ToMeshRequest;
@@ -134,9 +157,10 @@ RemoteStage<ToImageRpc>::Options to_image_options(const ServiceAddresses& addres
   return options;
 }
 
-RemoteStage<UpscaleRpc>::Options upscale_options(const ServiceAddresses& addresses, const LinkOptions& link,
-                                                 const PipelineSession& session) {
-  RemoteStage<UpscaleRpc>::Options options{
+template <typename Rpc>
+typename RemoteStage<Rpc>::Options upscale_options(const ServiceAddresses& addresses, const LinkOptions& link,
+                                                   const PipelineSession& session) {
+  typename RemoteStage<Rpc>::Options options{
       .stage = "superres", .service = "superres", .addresses = addresses.superres, .open = {}, .link = link};
   v1::UpscaleOpen& open = *options.open.mutable_open();
   open.set_model(session.model.model());
@@ -214,8 +238,14 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
   if (uses_network(session.detail)) {
     add_stage<ToImageRpc>(to_image_options(addresses, link, session), session, [](const auto&) {});
     // Conversion was set up for the bundle that was described: images of another one would be read wrongly.
-    add_stage<UpscaleRpc>(upscale_options(addresses, link, session), session,
-                          [before = session.model](const auto& opened) { require_same_bundle(before, opened); });
+    const auto same_bundle = [before = session.model](const auto& opened) { require_same_bundle(before, opened); };
+    if (network_remembers(session)) {
+      auto options = upscale_options<RememberingUpscaleRpc>(addresses, link, session);
+      options.memory = session.network_memory;
+      add_stage<RememberingUpscaleRpc>(std::move(options), session, same_bundle);
+    } else {
+      add_stage<UpscaleRpc>(upscale_options<UpscaleRpc>(addresses, link, session), session, same_bundle);
+    }
     // It knows the mesh in the bundle's place where the session has it elsewhere.
     const std::string known = session.network_coarse ? session.conversion.fine().hash() : fine_hash;
     add_stage<ToMeshRpc>(to_mesh_options(addresses, link, session), session,

@@ -19,7 +19,8 @@ namespace pleat::coordinator {
 
 /// Frames enter in sequence (without gaps) and come out in sequence, each exactly once: refined, or with `error` set.
 /// Memory is bounded by the windows. A stage that dies is reconnected and gets its frames again; the answers are the
-/// same, because stages keep no state between frames, and what the fold step keeps is here too. Thread-safe.
+/// same, because stages keep no state between frames, and what the fold step and networks keep is here too.
+/// Thread-safe.
 class EnhancementPipeline {
  public:
   /// Called by one thread at a time. May block (then everything before it waits) and may throw (then the session

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -24,6 +25,12 @@ struct FoldMemory {
   v1::FoldState state;
 };
 
+/// The same of a network that remembers.
+struct NetworkMemory {
+  std::uint64_t sequence = 0;
+  std::string state;  ///< ImageFrame.state
+};
+
 struct PipelineFrame {
   std::uint64_t sequence = 0;  ///< place in the session; the frame index between the services
   std::uint64_t index = 0;     ///< the client's frame index; equal to `sequence` in jobs
@@ -33,7 +40,8 @@ struct PipelineFrame {
   ObstacleFrames obstacles;
   v1::ImageFrame image;  ///< what the network reads after to_image, its answer after superres, empty after to_mesh
   v1::RigidTransform alignment;
-  v1::Frame fine;  ///< after to_mesh or fold; refined after refinement
+  std::shared_ptr<const NetworkMemory> network_memory;  ///< after superres, if the network remembers
+  v1::Frame fine;                                       ///< after to_mesh or fold; refined after refinement
   v1::FoldReport fold;
   std::shared_ptr<const FoldMemory> fold_memory;  ///< after fold
   v1::RefinementReport report;

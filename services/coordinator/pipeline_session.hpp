@@ -34,8 +34,9 @@ struct PipelineSession {
   v1::Detail detail = v1::DETAIL_NETWORK;      ///< checked
   v1::FoldOpen fold;          ///< for the fold step; mesh, obstacles, clearance and window go in from here
   std::size_t fold_turn = 0;  ///< which of several fold services is asked first
-  std::shared_ptr<const FoldMemory> fold_memory;  ///< of the frame before first_sequence, where there is one
-  v1::ModelDescription model;                     ///< empty without a network
+  std::shared_ptr<const FoldMemory> fold_memory;        ///< of the frame before first_sequence, where there is one
+  v1::ModelDescription model;                           ///< empty without a network
+  std::shared_ptr<const NetworkMemory> network_memory;  ///< as fold_memory, of a network that remembers
   v1::Representation representation;  ///< of the model, or with another subdivision that was asked for; without a
                                       ///< network the subdivision alone
   v1::ConversionOpened conversion;    ///< what conversion says of it: describe_conversion(); empty without a network
@@ -74,6 +75,9 @@ v1::ModelDescription without_model();
 /// Asks the conversion service for what a session will get, as describe_model() asks for the bundle.
 v1::ConversionOpened describe_conversion(const ServiceAddresses& addresses, const LinkOptions& link,
                                          const PipelineSession& session, const std::function<bool()>& cancelled);
+
+/// Whether the session's network goes on from what its last frame left.
+inline bool network_remembers(const PipelineSession& session) { return session.model.state_values() > 0; }
 
 /// What conversion is set up with.
 v1::ConversionSetup conversion_setup(const PipelineSession& session);

@@ -16,7 +16,10 @@ std::size_t earlier_frames(const v1::Representation& representation) {
 }  // namespace
 
 SessionMemory::SessionMemory(const PipelineSession& session, std::uint32_t interval)
-    : interval_(interval), earlier_(earlier_frames(session.representation)), fold_(uses_fold(session.detail)) {
+    : interval_(interval),
+      earlier_(earlier_frames(session.representation)),
+      fold_(uses_fold(session.detail)),
+      network_(network_remembers(session)) {
   constant_.set_topology_hash(session.coarse.hash());
   if (uses_network(session.detail)) constant_.set_model(session.model.SerializeAsString());
 }
@@ -35,8 +38,9 @@ std::string SessionMemory::checkpoint(const PipelineFrame& frame) {
       std::find_if(recent_.begin(), recent_.end(), [&](const auto& known) { return known.first > frame.sequence; });
   const auto known = static_cast<std::size_t>(after - recent_.begin());
   if (known > earlier_) recent_.erase(recent_.begin(), recent_.begin() + static_cast<std::ptrdiff_t>(known - earlier_));
-  // Behind a frame that failed the fold step has nothing to go on from.
+  // Behind a frame that failed the fold step has nothing to go on from, and neither has a network that remembers.
   if (answered_ < interval_ || frame.error || (fold_ && !frame.fold_memory)) return {};
+  if (network_ && !frame.network_memory) return {};
   answered_ = 0;
   v1::SessionCheckpoint checkpoint = constant_;
   checkpoint.set_frames(frame.sequence + 1);
@@ -44,6 +48,7 @@ std::string SessionMemory::checkpoint(const PipelineFrame& frame) {
     if (sequence <= frame.sequence) *checkpoint.add_earlier() = coarse;
   }
   if (fold_) *checkpoint.mutable_fold() = frame.fold_memory->state;
+  if (network_) checkpoint.set_network_state(frame.network_memory->state);
   return checkpoint.SerializeAsString();
 }
 

@@ -30,7 +30,7 @@ class SessionMemory {
  private:
   const std::uint32_t interval_;
   const std::size_t earlier_;  ///< frames before the next one that may be needed
-  const bool fold_;
+  const bool fold_, network_;  ///< what goes on from what it left
   v1::SessionCheckpoint constant_;
   std::mutex mutex_;
   std::deque<std::pair<std::uint64_t, v1::Frame>> recent_;

@@ -21,6 +21,7 @@ namespace pleat::testing {
 namespace {
 
 constexpr float kVelocityFactor = 0.01F;
+constexpr float kMemoryFactor = 0.001F;
 constexpr float kEarlierFactor = 0.125F;
 constexpr float kRefinementOffset = 0.001F;
 constexpr float kFoldOffset = 0.0625F;
@@ -266,6 +267,7 @@ class FakeConversion final : public FakeService, public v1::Conversion::Service 
   std::vector<grpc::Service*> services() override { return {static_cast<v1::Conversion::Service*>(this)}; }
 };
 
+/// A bundle that remembers (state_values 1) counts the frames since it began anew, and shows it in every position.
 class FakeSuperResolution final : public FakeService, public v1::SuperResolution::Service {
  public:
   FakeSuperResolution(std::string address, const FakeBundle& bundle)
@@ -282,16 +284,27 @@ class FakeSuperResolution final : public FakeService, public v1::SuperResolution
 
   grpc::Status Upscale(grpc::ServerContext* context,
                        grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) override {
+    float since = 0;
+    std::optional<std::uint64_t> last;
+    const bool remembers = bundle_.describe().state_values() > 0;
     return serve(
         *this, context, stream,
         [this](const v1::UpscaleOpen&, v1::ModelDescription& model) { model = bundle_.describe(); },
-        [](const v1::ImageFrame& coarse, std::uint64_t index, v1::ImageFrame& fine) {
+        [&, remembers](const v1::ImageFrame& coarse, std::uint64_t index, v1::ImageFrame& fine) {
           fine.set_index(index);
           fine.set_time_s(coarse.time_s());
           const auto& values = coarse.image().values();
           const int half = values.size() / 2;
+          if (remembers) {
+            const bool goes_on = !coarse.state().empty() || (last && *last + 1 == index);
+            if (coarse.state().size() == sizeof since) std::memcpy(&since, coarse.state().data(), sizeof since);
+            since = goes_on ? since + 1 : 1;
+            last = index;
+            fine.set_state(std::string(reinterpret_cast<const char*>(&since), sizeof since));
+          }
           for (int i = 0; i < half; ++i) {
-            fine.mutable_image()->add_values(values.Get(i) + kVelocityFactor * values.Get(half + i));
+            fine.mutable_image()->add_values(values.Get(i) + kVelocityFactor * values.Get(half + i) +
+                                             (remembers ? kMemoryFactor * since : 0.0F));
           }
           add_time(fine.mutable_stage_times(), "superres", 6);
         });

@@ -483,6 +483,38 @@ TEST_F(JobsTest, AFoldedJobWithoutItsCheckpointIsMadeAgainAndKeepsItsFrames) {
   EXPECT_EQ(std::count(restarts.begin(), restarts.end(), 1U), 1);
 }
 
+TEST_F(JobsTest, ANetworkThatRemembersGoesOnAfterARestartWithTheSameBits) {
+  fakes_.bundle().replace([](v1::ModelDescription& model) { model.set_state_values(1); });
+  start();
+  create(60, "calm");
+  ASSERT_EQ(finished("calm").state(), v1::Job::STATE_DONE);
+  fakes_.simulation().faults.hold(40);
+  create(60, "a");
+  ASSERT_TRUE(eventually([&] { return get("a").frames_complete() >= 23; }));
+  stop();
+  const int before = fakes_.superres().frames;
+  fakes_.simulation().faults.release();
+  start();
+  const v1::Job job = finished("a");
+  ASSERT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  EXPECT_LT(fakes_.superres().frames - before, 45) << "it went on at a check-point";
+
+  fakes_.simulation().faults.hold(20);
+  create(60, "b");
+  ASSERT_TRUE(eventually([&] { return get("b").frames_complete() >= 12; }));
+  stop();
+  std::filesystem::remove(std::filesystem::path(options_.data) / "jobs/b/checkpoint.bin");
+  fakes_.simulation().faults.release();
+  start();
+  ASSERT_EQ(finished("b").state(), v1::Job::STATE_DONE);
+
+  const ResultReader calm(get("calm").result_path()), one(job.result_path()), anew(get("b").result_path());
+  for (std::uint64_t i = 0; i < 60; ++i) {
+    ASSERT_EQ(one.enhanced(i, i + 1)[0], calm.enhanced(i, i + 1)[0]) << i;
+    ASSERT_EQ(anew.enhanced(i, i + 1)[0], calm.enhanced(i, i + 1)[0]) << i;
+  }
+}
+
 TEST_F(JobsTest, WithoutDetailFramesAreUpsampledSmoothlyAndRefined) {
   fakes_.conversion().stop();
   fakes_.superres().stop();

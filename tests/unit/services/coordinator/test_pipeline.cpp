@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstring>
 #include <mutex>
 #include <thread>
 
@@ -230,6 +231,78 @@ TEST_F(FoldedPipeline, StartsFromTheNetworksAnswer) {
                              upsample(subdivision_, coarse_.faces, positions_from_message(coarse));
     EXPECT_LT((positions_from_message(out_[i]->fine) - network - folded).cwiseAbs().maxCoeff(), 1e-5F) << i;
   }
+}
+
+/// Frames of a network that remembers how many it has made.
+class RememberingPipeline : public PipelineTest {
+ protected:
+  RememberingPipeline() {
+    fakes_.bundle().replace([](v1::ModelDescription& model) { model.set_state_values(1); });
+    session_.model = fakes_.bundle().describe();
+    session_.skip_refinement = true;
+  }
+  /// began: where the network began anew, in ascending order.
+  void expect_counted(std::uint64_t first, std::uint64_t frames, std::vector<std::uint64_t> began = {0}) {
+    ASSERT_EQ(out_.size(), frames);
+    for (std::uint64_t i = 0; i < frames; ++i) {
+      const auto& made = out_[i];
+      ASSERT_EQ(made->index, first + i);
+      if (made->error) continue;
+      const auto start = *std::prev(std::upper_bound(began.begin(), began.end(), made->index));
+      float since = 0;
+      ASSERT_TRUE(made->network_memory && made->network_memory->state.size() == sizeof since);
+      std::memcpy(&since, made->network_memory->state.data(), sizeof since);
+      EXPECT_EQ(since, static_cast<float>(made->index - start + 1)) << made->index;
+      EXPECT_EQ(made->network_memory->sequence, made->sequence);
+      EXPECT_TRUE(made->image.state().empty());
+    }
+  }
+};
+
+TEST_F(RememberingPipeline, BrokenStreamsChangeNothing) {
+  run(20);
+  expect_counted(0, 20);
+  const auto calm = std::move(out_);
+  out_.clear();
+  fakes_.superres().faults.at(0, Faults::Kind::kBreak);
+  fakes_.superres().faults.at(5, Faults::Kind::kBreak, 3);
+  fakes_.superres().faults.at(9, Faults::Kind::kHang);
+  fakes_.conversion().faults.at(7, Faults::Kind::kBreak);
+  run(20);
+  expect_counted(0, 20);
+  for (std::size_t i = 0; i < 20; ++i) {
+    EXPECT_EQ(positions_from_message(out_[i]->fine), positions_from_message(calm[i]->fine)) << i;
+  }
+}
+
+TEST_F(RememberingPipeline, AnotherReplicaGoesOnWhereOneBrokeOff) {
+  FakeService& other = fakes_.add_superres();
+  addresses_.superres.push_back(other.address());
+  fakes_.superres().faults.at(6, Faults::Kind::kBreak);
+  other.faults.at(11, Faults::Kind::kBreak);
+  run(20);
+  expect_counted(0, 20);
+  EXPECT_GE(other.frames, 1);
+}
+
+TEST_F(RememberingPipeline, BeginsAnewBehindAFrameThatIsMissing) {
+  fakes_.conversion().faults.at(4, Faults::Kind::kFrameError);
+  run(9);
+  EXPECT_TRUE(out_[4]->error);
+  expect_counted(0, 9, {0, 5});
+}
+
+TEST_F(RememberingPipeline, GoesOnFromWhatWasKept) {
+  run(5);
+  session_.network_memory = out_[4]->network_memory;
+  session_.first_sequence = 5;
+  out_.clear();
+  fakes_.superres().faults.at(5, Faults::Kind::kBreak);
+  const auto pipeline = make();
+  for (std::uint64_t i = 5; i < 9; ++i) ASSERT_TRUE(pipeline->push(frame(i)));
+  pipeline->close();
+  pipeline->wait();
+  expect_counted(5, 4);
 }
 
 TEST_F(PipelineTest, ConversionSaysWhatASessionGets) {

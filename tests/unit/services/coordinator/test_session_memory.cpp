@@ -82,6 +82,20 @@ TEST(SessionMemory, BehindAFrameThatFailedThereIsNone) {
   EXPECT_EQ(checkpoint.fold().positions(0), 2.0F);
 }
 
+TEST(SessionMemory, ANetworkThatRemembersGoesOn) {
+  PipelineSession session = session_of(v1::DETAIL_NETWORK);
+  session.model.set_state_values(1);
+  SessionMemory memory(session, 1);
+  memory.remember(0, coarse(0));
+  EXPECT_TRUE(memory.checkpoint(answered(0)).empty()) << "it left nothing";
+  memory.remember(1, coarse(1));
+  PipelineFrame frame = answered(1);
+  auto left = std::make_shared<NetworkMemory>();
+  left->state = "four";
+  frame.network_memory = left;
+  EXPECT_EQ(parse_checkpoint(memory.checkpoint(frame), session).network_state(), "four");
+}
+
 TEST(SessionMemory, NobodyAskedNothingKept) {
   SessionMemory memory(session_of(v1::DETAIL_NETWORK), 0);
   for (std::uint64_t i = 0; i < 100; ++i) {
