@@ -57,6 +57,8 @@ int tables(BenchChoice choice) {
   options.out = choice.options.out;
   if (options.draping.empty()) options.draping = larger("out/dataset/draping");
   if (options.hitting.empty()) options.hitting = larger("out/dataset/hitting");
+  if (options.sheet.empty()) options.sheet = larger("out/dataset/sheet");
+  if (options.disk.empty()) options.disk = larger("out/dataset/disk");
   make_writable_folder(options.out);
   const std::filesystem::path page = options.out / "tables.html";
   require_replaceable(page, kTablesMarks);
@@ -135,6 +137,8 @@ std::vector<Command> add_bench(CLI::App& root) {
   tables->add_option("--draping", choice->tables.draping,
                      "data set (default: out/dataset/draping-full, else out/dataset/draping)");
   tables->add_option("--hitting", choice->tables.hitting, "the same for HITTING");
+  tables->add_option("--sheet", choice->tables.sheet, "the same for SHEET");
+  tables->add_option("--disk", choice->tables.disk, "the same for DISK");
   tables->add_option("--trained", choice->tables.trained, "folder of trainings")->capture_default_str();
   tables->add_option("--every", choice->tables.every, "of each test sequence every N-th frame is measured")
       ->capture_default_str()

@@ -14,6 +14,7 @@ namespace pleat::evaluation {
 
 struct TablesOptions {
   std::filesystem::path draping, hitting;       ///< data sets
+  std::filesystem::path sheet, disk;            ///< those of [DT-S]
   std::filesystem::path trained = "out/train";  ///< folders NAME with NAME.pt and log.csv, as pleat-train leaves them
   std::filesystem::path models;                 ///< shipped bundles; empty: default_models_folder()
   std::filesystem::path configurations = "deploy/models";  ///< of the commands that train

@@ -22,7 +22,8 @@ class Tables : public test::EvaluationDataset {
   PaperTables tables() const {
     TablesOptions options;
     options.draping = folder_;
-    options.hitting = folder_ / "nothing";
+    options.hitting = options.disk = folder_ / "nothing";
+    options.sheet = folder_;
     options.trained = folder_ / "trained";
     options.models = folder_ / "models";
     options.out = folder_ / "out";
@@ -41,7 +42,7 @@ class Tables : public test::EvaluationDataset {
 
 TEST_F(Tables, HaveThePrintedFiguresBesideThoseOfTheData) {
   const PaperTables result = tables();
-  ASSERT_EQ(result.tables.size(), 4u);
+  ASSERT_EQ(result.tables.size(), 5u);
   const TableRow& sizes = row(result.tables[0], {"DRAPING"});
   EXPECT_EQ(sizes.entries[0].printed, 749);
   EXPECT_EQ(sizes.entries[0].measured, 16);
@@ -63,6 +64,20 @@ TEST_F(Tables, HaveThePrintedFiguresBesideThoseOfTheData) {
   EXPECT_EQ(row(methods, {"HITTING", "MFSR"}).entries[0].printed, 72.25);
   EXPECT_THAT(row(methods, {"HITTING", "MFSR"}).entries[0].missing, HasSubstr("pleat dataset generate"));
   EXPECT_EQ(row(result.tables[2], {"SKIRT"}).entries[4].printed, 62.88);
+}
+
+TEST_F(Tables, TheSecondSystemsSetsHaveMethodsAndAblations) {
+  const Table table = tables().tables[4];
+  const TableRow& upsampled = row(table, {"SHEET", "barycentric upsampling"});
+  EXPECT_NEAR(upsampled.entries[0].measured.value(), 1e3 * kOffset, 1e-3);
+  EXPECT_TRUE(upsampled.entries[1].measured.has_value());
+  EXPECT_TRUE(upsampled.entries[2].measured.has_value());
+  EXPECT_NEAR(row(table, {"SHEET", "published"}).entries[0].printed.value(), 5.89, 1e-9);
+  EXPECT_EQ(row(table, {"SHEET", "published"}).entries[0].missing,
+            "build/bin/pleat-train deploy/models/sheet-published.train.json");
+  EXPECT_EQ(row(table, {"SHEET", "published, 32 numbers"}).entries[0].missing,
+            "build/bin/pleat-train deploy/models/sheet-published-latent-32.train.json");
+  EXPECT_THAT(row(table, {"DISK", "tokens"}).entries[0].missing, HasSubstr("--set disk --scale full"));
 }
 
 TEST_F(Tables, RemoveNothingOfOthers) {
@@ -129,12 +144,18 @@ TEST_F(Tables, CurvesComeFromTheLogOfATraining) {
 }
 
 TEST_F(Tables, AsACommand) {
-  const test::Outcome outcome =
-      test::run(test::built("pleat"),
-                {"bench", "tables", "--draping", folder_.string(), "--trained", (folder_ / "trained").string(),
-                 "--models", (folder_ / "models").string(), "--hitting", "nowhere", "--out", (folder_ / "out").string(),
-                 "--timed", "0", "--every", "1", "--json"},
-                folder_ / "outcome");
+  const test::Outcome outcome = test::run(test::built("pleat"), {"bench",     "tables",
+                                                                 "--draping", folder_.string(),
+                                                                 "--trained", (folder_ / "trained").string(),
+                                                                 "--models",  (folder_ / "models").string(),
+                                                                 "--hitting", "nowhere",
+                                                                 "--sheet",   "nowhere",
+                                                                 "--disk",    "nowhere",
+                                                                 "--out",     (folder_ / "out").string(),
+                                                                 "--timed",   "0",
+                                                                 "--every",   "1",
+                                                                 "--json"},
+                                          folder_ / "outcome");
   ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
   const nlohmann::json rows = nlohmann::json::parse(outcome.out).at("tables").at("table2").at("rows");
   EXPECT_NEAR(rows.at(0).at("figures").at("RMSE mm").at("measured").get<double>(), 1e3 * kOffset, 1e-3);
