@@ -1,4 +1,5 @@
-// A network that reads three frames, through real processes that are killed: models/delayed.pt answers the oldest.
+// Networks that read several frames, through real processes that are killed: models/delayed.pt
+// answers the oldest of three, the shipped sheet reads its vertex features.
 #include <gtest/gtest.h>
 
 #include <chrono>
@@ -18,21 +19,21 @@ using namespace std::chrono_literals;
 constexpr std::uint32_t kFrames = 24;
 constexpr std::uint64_t kDelay = 2;
 
-class WindowTest : public ::testing::Test {
+class KilledServices : public ::testing::Test {
  protected:
-  WindowTest() {
+  KilledServices(const char* models, const char* model, const char* scene) : model_(model), scene_(scene) {
     const std::filesystem::path source = std::getenv("PLEAT_SOURCE_DIR");
-    ::setenv("PLEAT_MODELS", (source / "tests/integration/models").c_str(), 1);
-    ::setenv("PLEAT_SUPERRES_MODEL", "delayed", 1);  // the default one is not in that folder
+    ::setenv("PLEAT_MODELS", (source / models).c_str(), 1);
+    ::setenv("PLEAT_SUPERRES_MODEL", model, 1);  // the default one may not be in that folder
     processes_ = std::make_unique<ServiceProcesses>();
     stub_ = processes_->client();
   }
 
   void create(const std::string& id) {
     v1::CreateJobRequest request;
-    *request.mutable_scene() = presentation::read_scene_file("deploy/scenes/draping.json");
+    *request.mutable_scene() = presentation::read_scene_file(scene_);
     request.set_frames(kFrames);
-    request.set_model("delayed");
+    request.set_model(model_);
     request.set_job_id(id);
     grpc::ClientContext context;
     v1::Job job;
@@ -65,8 +66,39 @@ class WindowTest : public ::testing::Test {
     return job;
   }
 
+  /// A job during which each of these services is killed. One that ended before a kill proves nothing: another one is
+  /// tried.
+  v1::Job stormy() {
+    for (int attempt = 0; attempt < 50; ++attempt) {
+      const std::string id = "stormy-" + std::to_string(attempt);
+      create(id);
+      bool met = true;
+      std::uint32_t frames = 3;
+      for (const std::string service : {"conversion", "superres", "coordinator"}) {
+        wait(id, frames);
+        met = met && processes_->kill_within_job(service, id);
+        frames += 5;
+      }
+      v1::Job job = finished(id);
+      if (met) return job;
+    }
+    ADD_FAILURE() << "no kill met a running job";
+    return {};
+  }
+
+  const std::string model_, scene_;
   std::unique_ptr<ServiceProcesses> processes_;
   std::unique_ptr<v1::Coordinator::Stub> stub_;
+};
+
+class WindowTest : public KilledServices {
+ protected:
+  WindowTest() : KilledServices("tests/integration/models", "delayed", "deploy/scenes/draping.json") {}
+};
+
+class VertexFeaturesTest : public KilledServices {
+ protected:
+  VertexFeaturesTest() : KilledServices("deploy/models", "sheet", "deploy/scenes/sheet.json") {}
 };
 
 double rms(const Positions& a, const Positions& b) {
@@ -76,22 +108,7 @@ double rms(const Positions& a, const Positions& b) {
 TEST_F(WindowTest, KillingServicesLeavesTheSameBits) {
   create("calm");
   const v1::Job calm = finished("calm");
-  // A job that ended before a kill proves nothing: another one is tried.
-  v1::Job stormy;
-  bool met = false;
-  for (int attempt = 0; attempt < 50 && !met; ++attempt) {
-    const std::string id = "stormy-" + std::to_string(attempt);
-    create(id);
-    met = true;
-    std::uint32_t frames = 3;
-    for (const std::string service : {"conversion", "superres", "coordinator"}) {
-      wait(id, frames);
-      met = met && processes_->kill_within_job(service, id);
-      frames += 5;
-    }
-    stormy = finished(id);
-  }
-  ASSERT_TRUE(met) << "no kill met a running job";
+  const v1::Job stormy = this->stormy();
   EXPECT_EQ(stormy.summary().frame_errors(), 0U);
   const ResultReader a(calm.result_path()), b(stormy.result_path());
   const Topology& coarse = a.info().topology.coarse;
@@ -107,6 +124,19 @@ TEST_F(WindowTest, KillingServicesLeavesTheSameBits) {
   }
   const Positions last = upsample(subdivision, coarse.faces, a.coarse(kFrames - 1, kFrames)[0]);
   EXPECT_GT(rms(a.enhanced(kFrames - 1, kFrames)[0], last), 0.02) << "the cloth falls meanwhile";
+}
+
+TEST_F(VertexFeaturesTest, KillingServicesLeavesTheSameBits) {
+  create("calm");
+  const v1::Job calm = finished("calm");
+  const v1::Job stormy = this->stormy();
+  EXPECT_EQ(stormy.summary().frame_errors(), 0U);
+  const ResultReader a(calm.result_path()), b(stormy.result_path());
+  ASSERT_EQ(a.frames_complete(), kFrames);
+  ASSERT_EQ(b.frames_complete(), kFrames);
+  for (std::uint64_t i = 0; i < kFrames; ++i) {
+    ASSERT_EQ(a.enhanced(i, i + 1)[0], b.enhanced(i, i + 1)[0]) << "frame " << i;
+  }
 }
 
 }  // namespace
