@@ -256,7 +256,8 @@ class Archive {
       throw_data_loss(name() + ": '" + property.name + "' has more samples than times");
     std::vector<double> times;
     for (std::size_t k = 0; k < property.samples; ++k) {
-      const double cycle = cyclic ? sampling.cycle * static_cast<double>(k / stored) : 0;
+      const std::size_t cycles = k / stored;
+      const double cycle = cyclic ? sampling.cycle * static_cast<double>(cycles) : 0;
       times.push_back(sampling.times[cyclic ? k % stored : k] + cycle);
       if (!std::isfinite(times.back()) || (k > 0 && times[k] <= times[k - 1]))
         throw_invalid_argument(name() + ": the times of '" + property.name + "' do not ascend");

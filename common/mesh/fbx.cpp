@@ -167,8 +167,8 @@ class FbxMesh final : public AnimatedMesh {
   }
 
   static std::vector<double> weights_at(const Part& part, double ticks) {
-    std::vector<double> weights(part.morph != nullptr ? part.mesh->mNumAnimMeshes : 0, 0);
-    if (weights.empty()) return weights;
+    if (part.morph == nullptr) return {};
+    std::vector<double> weights(part.mesh->mNumAnimMeshes, 0);
     const aiMeshMorphKey *before = nullptr, *after = nullptr;
     const double fraction = find_keys(part.morph->mKeys, part.morph->mNumKeys, ticks, before, after);
     for (const auto& [key, share] : {std::pair{before, 1 - fraction}, std::pair{after, fraction}}) {
