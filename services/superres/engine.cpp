@@ -88,6 +88,8 @@ struct Engine::State {
 
   /// Height and width of what the bundle reads, if it says so.
   std::optional<std::array<std::int64_t, 2>> own_size() const {
+    const auto& size = metadata.input_size;
+    if (size[0] > 0 && size[1] > 0) return {{size[0], size[1]}};
     return conversion::answer_form(metadata.representation).input_size;
   }
 

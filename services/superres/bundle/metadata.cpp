@@ -149,6 +149,7 @@ void read_representation(const Object& object, Metadata& m) {
 void forget_mesh(Metadata& metadata) {
   metadata.topology_hash.clear();
   metadata.rest_positions.clear();
+  metadata.input_size = {};
   auto& image = std::get<conversion::GeometryImageSpec>(metadata.representation.kind).image;
   image.coarse_width = image.coarse_height = 0;
 }
@@ -179,6 +180,7 @@ std::string to_json(const Metadata& metadata) {
   document["parameters"] = metadata.parameters;
   document["representation"] = document_of(metadata);
   document["constants"] = metadata.constants;
+  if (metadata.input_size[0] > 0) document["input_size"] = metadata.input_size;
   if (memory_values(metadata) > 0) document["memory"] = metadata.memory;
   document["topology_hash"] = metadata.topology_hash;
   if (!metadata.rest_positions.empty()) document["rest_positions"] = metadata.rest_positions;
@@ -215,6 +217,12 @@ Metadata metadata_from_json(const std::string& text, const std::string& source) 
   m.parameters = document.get<std::int64_t>("parameters", 0);
   read_representation(document.object("representation"), m);
   m.constants = document.integer("constants", 0, 0, kMostChannels);
+  m.input_size = document.get<std::array<int, 2>>("input_size", {});
+  for (const int extent : m.input_size) {
+    if (extent < 0 || extent > kLargestImageSide * kLargestImageSide) {
+      throw_invalid_argument(source + ": pleat.json: input_size is none");
+    }
+  }
   m.memory = document.get<std::array<int, 3>>("memory", {});
   std::int64_t remembered = 1;
   for (const int extent : m.memory) {

@@ -22,6 +22,9 @@ struct Metadata {
   conversion::RepresentationSpec representation;  ///< how conversion has to be set up
   ChannelRanges input, output;                    ///< of the channels of one frame, and of an answer; not empty
   int constants = 0;                              ///< channels of what the network reads beside the frames
+  /// Height and width of what it reads, for networks that fit one size alone; zeros: the representation says it, or
+  /// any.
+  std::array<int, 2> input_size = {};
   /// (channels, height, width) of what it remembers from frame to frame; zeros: nothing. Its module has forward(x,
   /// memory), which returns the answer and what is remembered after it; zeros in the beginning.
   std::array<int, 3> memory = {};

@@ -640,6 +640,7 @@ class Trainer {
     m.representation = data_.representation;
     m.input = data_.input_ranges, m.output = data_.output_ranges;
     m.constants = data_.constant_channels();
+    if (description().remembers()) m.input_size = {data_.height(), data_.width()};
     if (description().remembers()) m.memory = averaged_.description().memory_shape({data_.height(), data_.width()});
     m.topology_hash = data_.topology_hash;
     m.rest_positions = data_.rest_positions;

@@ -103,13 +103,14 @@ TEST(Metadata, WhatIsAnsweredAndRememberedComesBack) {
   m.representation.kind = features;
   m.architecture = complete({"published", R"({"latent": 8})"});
   m.memory = {24, 1, 1};
+  m.input_size = {1, 128};
   const Metadata back = metadata_from_json(to_json(m), "x");
   EXPECT_EQ(to_json(back), to_json(m));
   EXPECT_EQ(std::get<conversion::VertexFeatureSpec>(back.representation.kind).answer,
             conversion::AnswerKind::kFeaturesAlone);
   EXPECT_EQ(memory_values(back), 24U);
   EXPECT_FALSE(ports_of(back).detail);
-  EXPECT_EQ(ports_of(back).block, 15);
+  EXPECT_EQ(ports_of(back).block, 6) << "one round: vertices and middles of edges";
   EXPECT_EQ(memory_values(example()), 0U);
   for (const json& memory : {json{-1, 1, 1}, json{100000, 1000, 1}, json{1, 2}, json("much")}) {
     EXPECT_THAT(error_of([&](json& d) { d["memory"] = memory; }).what(), HasSubstr("memory")) << memory;
