@@ -15,8 +15,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kBodyFriction = 0.6;     // of cloth on skin, as in deploy/scenes/dancer.json
-constexpr int kStepsPerFrame = 4;         // likewise
+constexpr double kBodyFriction = 0.6;  // of cloth on skin, as in deploy/scenes/dancer.json
+constexpr int kStepsPerFrame = 4;      // likewise
 // rad/s. A hem that turns with a dancer is thrown outwards by as much as weight and more: at the default of 7 the fine
 // one was 0.3 m from the coarse one.
 constexpr double kTrackingFrequency = 20;

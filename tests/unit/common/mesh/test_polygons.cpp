@@ -25,7 +25,8 @@ TEST(Polygons, MaterialCoordinatesOfCornersAreOneAtAVertex) {
   EXPECT_EQ(joined.uv_faces(0, 0), joined.uv_faces(1, 0));
   EXPECT_EQ(face_charts(joined), (std::vector<std::uint32_t>{0, 0}));
   // Exporters round.
-  EXPECT_EQ(to_topology(square({0, 0, 1, 0, 1, 1, 1e-7F, 0, 0.9999999F, 1, 0, 1}), "a", MeshUse::kGarment).uv.rows(), 4);
+  EXPECT_EQ(to_topology(square({0, 0, 1, 0, 1, 1, 1e-7F, 0, 0.9999999F, 1, 0, 1}), "a", MeshUse::kGarment).uv.rows(),
+            4);
 }
 
 TEST(Polygons, SeamsStaySeams) {
