@@ -22,8 +22,8 @@ constexpr std::size_t kMaxPairs = 50'000;
 constexpr std::size_t kFacesPerPair = 2;
 // Searches while weights are lowered. Every one of them lowers something, so that this is not endless anyway.
 constexpr std::size_t kMaxSearches = 200;
-// After so many the steps are twice as large, this many times.
-constexpr std::size_t kSearchesPerStep = 4, kLargestStep = 2;
+// After so many the steps are twice as large, this many times at most: a zone must not jump from frame to frame.
+constexpr std::size_t kSearchesPerStep = 8, kLargestStep = 1;
 
 void check(const RefinementOptions& o) {
   const auto require = [](bool ok, const char* what) {
