@@ -226,8 +226,8 @@ class LivePage(unittest.TestCase):
         with Browser(1200, 720) as browser:
             browser.open(self.page)
             browser.wait("window.pleatLive")
-            # Longer than anybody looks: it is cancelled.
-            child = self.run_in_background("run", "draping", "--frames", "50000", "--out", self.folder / "seen")
+            # Longer than anybody looks (it is cancelled), and never at rest.
+            child = self.run_in_background("run", "flag", "--frames", "50000", "--out", self.folder / "seen")
             browser.wait("pleatLive.received > 2", 120)
             browser.run("pleatLive.following = false")
             held = browser.run("return pleatLive.frame")
@@ -240,12 +240,16 @@ class LivePage(unittest.TestCase):
             self.assertEqual(browser.run("return pleatLive.frame"), held)
             browser.run("pleatLive.following = true")
             browser.wait(f"pleatLive.frame > {held}", 120)
-            browser.run("pleatLive.render()")
-            self.assertGreater(difference(first, decode_png(browser.screenshot(box))), 0.01)
+
+            def moved():  # by the next frame hardly, where many come a second
+                browser.run("pleatLive.render()")
+                return difference(first, decode_png(browser.screenshot(box))) > 0.01
+
+            self.assertTrue(eventually(moved))
             child.send_signal(signal.SIGINT)
             browser.wait("pleatLive.jobs.some(job => job.id === pleatLive.selected && job.state === 'cancelled')", 120)
             text = browser.run("return document.getElementById('side').textContent")
-            for shown in ("draping", "cancelled", "of 50,000 frames", "Fold", "Refinement"):
+            for shown in ("flag", "cancelled", "of 50,000 frames", "Fold", "Refinement"):
                 self.assertIn(shown, text)
             errors = [entry["message"] for entry in browser.log("browser") if entry["level"] in ("SEVERE", "WARNING")]
             errors = [line for line in errors if "GPU stall due to ReadPixels" not in line]
