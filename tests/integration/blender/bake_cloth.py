@@ -93,7 +93,7 @@ def check_frame(cloth, fine, ball):
     assert len(coarse) == (CELLS + 1)**2, len(coarse)  # without what is for looks
     made = in_world(fine)
     apart = np.abs(made[:len(coarse)] - coarse).max()
-    assert apart < 0.06, f"frame {bpy.context.scene.frame_current}: {apart} m"
+    assert apart < 0.12, f"frame {bpy.context.scene.frame_current}: {apart} m"
     # Blender's ball is a polyhedron: its faces lie within.
     assert np.linalg.norm(made - ball_at, axis=1).min() > 0.98 * RADIUS
     return made
