@@ -36,15 +36,43 @@ std::string read_upsampling(Options& options) {
   return options.choice("upsampling", "bilinear", {"bilinear", "subpixel"});
 }
 
-int add_heads(Description& network, int features, const std::string& upsampling, const Ports& ports) {
+History add_history(Description& network, Options& options, const Ports& ports) {
+  History history{.frames = options.integer("history", 0, 0, kMostHistory)};
+  if (history.frames == 0) return history;
+  const int given =
+      network.add({.kind = LayerKind::kGiven, .inputs = {0}, .channels = ports.outputs, .factor = ports.scale});
+  network.given_memory = network.add({.kind = LayerKind::kUnshuffle, .inputs = {given}, .factor = ports.scale});
+  network.remembered = history.frames;
+  history.recalled = network.add(
+      {.kind = LayerKind::kMemory, .inputs = {0}, .channels = history.frames * network.channels(network.given_memory)});
+  history.read.push_back(history.recalled);
+  return history;
+}
+
+int add_heads(Description& network, int features, const std::string& upsampling, const Ports& ports,
+              const History& history) {
+  const int values_each = ports.scale * ports.scale;
+  int values = -1;
   if (upsampling == "bilinear") {
-    features = network.add({.kind = LayerKind::kUpsample, .inputs = {features}, .factor = ports.scale});
-    return network.add({.name = "heads", .inputs = {features}, .channels = ports.outputs, .zero = ports.detail});
+    const int enlarged = network.add({.kind = LayerKind::kUpsample, .inputs = {features}, .factor = ports.scale});
+    const int heads =
+        network.add({.name = "heads", .inputs = {enlarged}, .channels = ports.outputs, .zero = ports.detail});
+    if (history.frames == 0) return heads;
+    values = network.add({.kind = LayerKind::kUnshuffle, .inputs = {heads}, .factor = ports.scale});
+  } else {
+    values = network.add(
+        {.name = "heads", .inputs = {features}, .channels = ports.outputs * values_each, .zero = ports.detail});
   }
-  const int values = network.add({.name = "heads",
-                                  .inputs = {features},
-                                  .channels = ports.outputs * ports.scale * ports.scale,
-                                  .zero = ports.detail});
+  if (history.frames > 0) {
+    values = network.add({.name = "carried",
+                          .inputs = {history.recalled},
+                          .channels = ports.outputs * values_each,
+                          .kernel = 1,
+                          .add = values,
+                          .exact = true,
+                          .zero = true});
+    network.memory = values;
+  }
   return network.add({.kind = LayerKind::kPixelShuffle, .inputs = {values}, .factor = ports.scale});
 }
 

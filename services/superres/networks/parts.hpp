@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "services/superres/networks/description.hpp"
 #include "services/superres/networks/options.hpp"
@@ -16,13 +17,27 @@ int add_residual_blocks(Description& network, int features, int count);
 /// "<name>_dense<c>", then conv1([f, a_1 ..]) + f, "<name>_fusion". Returns the last value.
 int add_dense_block(Description& network, const std::string& name, int features, int layers, int growth);
 
+/// Frames that a network may remember at most.
+inline constexpr int kMostHistory = 4;
+
+/// The option "history" of networks of images: of so many of its own last answers, made as small as the input, the
+/// network reads all values beside it. What one coarse frame does not tell is which way the cloth has buckled.
+struct History {
+  int frames = 0;     ///< 0: none
+  int recalled = -1;  ///< what is remembered
+  std::vector<int> read = {0};
+};
+History add_history(Description& network, Options& options, const Ports& ports);
+
 /// The option "upsampling" of networks that end in heads.
 std::string read_upsampling(Options& options);
 
 /// From features to the answer: one convolution for all outputs, which is the same as a head each for displacement,
 /// normal and velocity. "bilinear" (published): features are upsampled before it. "subpixel": it answers with
-/// scale^2 values a texel and output at the small size, which are then rearranged.
-int add_heads(Description& network, int features, const std::string& upsampling, const Ports& ports);
+/// scale^2 values a texel and output at the small size, which are then rearranged. With a history a linear map of it,
+/// which begins at zero, is added, and the answer is what the network remembers.
+int add_heads(Description& network, int features, const std::string& upsampling, const Ports& ports,
+              const History& history = {});
 
 /// Of a block of attention over tokens, which lie in `frames` parts of `features` channels at each place.
 struct AttentionSizes {

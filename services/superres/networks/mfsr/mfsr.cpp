@@ -10,7 +10,8 @@ Description describe_mfsr(Options& options, const Ports& ports) {
   const std::string upsampling = read_upsampling(options);
 
   Description network(ports.inputs);
-  const int shallow = network.add({.name = "shallow0", .inputs = {0}, .channels = width, .exact = true});
+  const History history = add_history(network, options, ports);
+  const int shallow = network.add({.name = "shallow0", .inputs = history.read, .channels = width, .exact = true});
   int features = network.add({.name = "shallow1", .inputs = {shallow}, .channels = width, .exact = true});
   std::vector<int> hierarchy;
   for (int d = 0; d < blocks; ++d) {
@@ -19,7 +20,7 @@ Description describe_mfsr(Options& options, const Ports& ports) {
   }
   features = network.add({.name = "global0", .inputs = hierarchy, .channels = width, .kernel = 1});
   features = network.add({.name = "global1", .inputs = {features}, .channels = width, .add = shallow});
-  add_heads(network, features, upsampling, ports);
+  add_heads(network, features, upsampling, ports, history);
   return network;
 }
 

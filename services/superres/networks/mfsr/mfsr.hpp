@@ -8,7 +8,8 @@
 
 namespace pleat::superres {
 
-/// Options: blocks 16, layers 6, growth 32, features 64 (the published sizes), upsampling "bilinear" or "subpixel".
+/// Options: blocks 16, layers 6, growth 32, features 64 (the published sizes), upsampling "bilinear" or "subpixel",
+/// history 0 (of its own last answers, History).
 Description describe_mfsr(Options& options, const Ports& ports);
 
 }  // namespace pleat::superres

@@ -10,7 +10,6 @@ namespace pleat::superres {
 namespace {
 
 constexpr int kRememberedChannels = 3;  ///< the first ones of an answer: offsets
-constexpr int kMostHistory = 4;
 
 /// The values of an answer's first channels that mean something, out of one (channels scale^2, h, w).
 int add_offsets(Description& network, int values, const Ports& ports) {

@@ -14,7 +14,8 @@ Description describe_unet(Options& options, const Ports& ports) {
   const std::string upsampling = read_upsampling(options);
 
   Description network(ports.inputs);
-  const int shallow = network.add({.name = "shallow0", .inputs = {0}, .channels = width, .exact = true});
+  const History history = add_history(network, options, ports);
+  const int shallow = network.add({.name = "shallow0", .inputs = history.read, .channels = width, .exact = true});
   int features = network.add({.name = "shallow1", .inputs = {shallow}, .channels = width, .exact = true});
   const auto add_blocks = [&](const std::string& side, int level) {
     for (int b = 0; b < blocks; ++b) {
@@ -40,7 +41,7 @@ Description describe_unet(Options& options, const Ports& ports) {
     add_blocks("up", level);
   }
   features = network.add({.name = "global1", .inputs = {features}, .channels = width, .add = shallow});
-  add_heads(network, features, upsampling, ports);
+  add_heads(network, features, upsampling, ports, history);
   return network;
 }
 

@@ -10,7 +10,8 @@
 namespace pleat::superres {
 
 /// Options: levels 3 (times that the size is halved), blocks 1 (at each level, down and up), layers 4, growth 32,
-/// features 64, upsampling "bilinear" or "subpixel".
+/// features 64, upsampling "bilinear" or "subpixel", history 0 (of its own last
+/// answers, History).
 Description describe_unet(Options& options, const Ports& ports);
 
 }  // namespace pleat::superres
