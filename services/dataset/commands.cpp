@@ -36,6 +36,10 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
                  "the fine cloth follows the coarse one, by averages (default) or by the paper's springs, or goes its "
                  "own way (sheet, disk: always; tshirt, pants: the default)")
       ->check(CLI::IsMember({"tracked", "springs", "free"}));
+  app.add_option("--frequency", choice.frequency,
+                 "rad/s with which the averages follow; the higher, the more of a fold's place is in the coarse frame, "
+                 "and the fewer folds there are (default: the set's; 7, skirt 20)")
+      ->check(positive_number());
   app.add_option("--rounds", choice.rounds,
                  "2, 3 or 4: 16, 64 or 256 fine faces for each coarse one (default: 2; tshirt, pants: 3)")
       ->check(positive_number());
@@ -79,6 +83,7 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   options.scenes.seed = choice.seed;
   options.scenes.tracked = choice.fine.empty() ? defaults.tracked : choice.fine != "free";
   options.scenes.springs = choice.fine == "springs";
+  options.scenes.frequency = choice.frequency;
   options.scenes.garment = choice.garment;
   if (choice.garment.empty()) options.scenes.garment = shipped_file(defaults.garment);
   options.scenes.garment_scale = choice.garment_scale;

@@ -18,6 +18,7 @@ struct GenerateChoice {
   std::string body;                  ///< empty: the young woman
   std::vector<std::string> motions;  ///< empty: all that are shipped
   double garment_scale = 1;
+  double frequency = 0;
   int frames = 0, rounds = 0, train = -1, test = -1, extra = 0, workers = 0;
   std::uint64_t seed = 1;
   bool deflate = true;

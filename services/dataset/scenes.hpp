@@ -64,6 +64,7 @@ struct SceneOptions {
   bool tracked = true;             ///< the fine cloth follows the coarse one; false, and always false for sheet and
                                    ///< disk: free fine simulations ([DT-S])
   bool springs = false;            ///< tracked as [MFSR] section 4.2 has it, instead of by averages
+  double frequency = 0;            ///< rad/s, of averages; 0: the set's
   std::filesystem::path garment;   ///< OBJ or PLY with material coordinates
   double garment_scale = 1;        ///< metres per unit of the file
   std::filesystem::path material;  ///< ARCSim-format JSON

@@ -71,6 +71,23 @@ TEST_F(FlatSets, DiskHasWindsOfItsWholeRange) {
   EXPECT_LE(fastest, 8);
 }
 
+TEST_F(FlatSets, TheFrequencyOfAveragesCanBeChosen) {
+  choose("draping", false);
+  for (const SequencePlan& plan : plan_sequences(options.scenes)) {
+    EXPECT_EQ(plan.scene.tracking.frequency, simulation::Tracking::kDefaultFrequency);
+  }
+  options.scenes.frequency = 20;
+  for (const SequencePlan& plan : plan_sequences(options.scenes)) {
+    EXPECT_EQ(plan.scene.tracking.frequency, 20);
+    EXPECT_THAT(plan.scene_json, testing::HasSubstr("\"frequency\":20"));
+  }
+  options.scenes.springs = true;
+  EXPECT_THROW(plan_sequences(options.scenes), Error) << "springs have none";
+  options.scenes.springs = false;
+  options.scenes.tracked = false;
+  EXPECT_THROW(plan_sequences(options.scenes), Error) << "a free cloth follows nothing";
+}
+
 TEST_F(FlatSets, SmallOnesAreMadeAndVerified) {
   for (const char* set : {"sheet", "disk"}) {
     choose(set, false);
