@@ -41,8 +41,11 @@ constexpr float kDetailDamping = 4;       // 1/s, of motion beside the coarse cl
 constexpr std::size_t kMostTangles = 20'000;
 constexpr float kStartFrequency = 10;  // rad/s, of every vertex about the start's
 constexpr float kObstacleFriction = 0.3f;
-constexpr double kObstacleReach = 0.02;                  // m, within a frame, beside the coarse cloth's motion
-constexpr double kObstacleDepth = 0.06;                  // m: who is deeper inside a mesh is left to refinement
+constexpr double kObstacleReach = 0.02;  // m, within a frame, beside the coarse cloth's motion
+constexpr double kObstacleDepth = 0.06;  // m: who is deeper inside a mesh is left to refinement
+constexpr float kMostRise = 1e-3f;       // m, of an obstacle between two planes that speak for a third
+constexpr float kLeastTurn = 0.9f;       // of these, the cosine
+constexpr std::uint32_t kUnmeasured = 0xffffffffu;
 constexpr double kRounding = 1e-5;                       // m: of distances in float32, and more
 constexpr double kTouchNear = 0.008, kTouchFar = 0.016;  // m: nearer than that coarse cloth touches, farther not
 constexpr float kLayerReach = 0.02f;                     // m
@@ -110,6 +113,8 @@ struct FoldStep::Work {
   std::vector<refinement::FacePair> pairs;
   std::vector<float> tangled, wider;
   std::vector<ObstaclePlane> planes;
+  std::vector<std::uint32_t> plane_of;  // per fine vertex; kUnmeasured without a plane
+  std::vector<std::uint32_t> near_faces;
   std::vector<Box> near_obstacles;
   std::vector<Float4> unevenness;  // per coarse vertex, where a cloth begins
   std::vector<float> touching;     // per coarse vertex: 1 on an obstacle, 0 away from all
@@ -275,11 +280,10 @@ struct FoldStep::Work {
     tracking.set_touching(touching);
   }
 
-  // Of where the cloth would be at the end of the frame if it went along with the coarse one. Coarse face by coarse
-  // face: a ball around its fine vertices tells mostly that none of them is near.
-  void find_planes(const Eigen::Vector3d& origin) {
-    planes.clear();
-    if (obstacles.empty()) return;
+  // Coarse faces near obstacles, of where the cloth would be at the end of the frame if it went along with the coarse
+  // one: a ball around a face's fine vertices tells mostly that none of them is near.
+  void find_near_faces(const Eigen::Vector3d& origin) {
+    near_faces.clear();
     near_obstacles.clear();
     obstacles.append_bounds(kObstacleReach, near_obstacles);
     for (std::uint32_t face = 0; face < static_cast<std::uint32_t>(coarse.face_count()); ++face) {
@@ -296,29 +300,66 @@ struct FoldStep::Work {
       const double radius = 1.001 * std::sqrt(static_cast<double>(squared)) + 1e-6;
       Box place;
       place.extend(point_at(origin, middle), radius);
-      if (std::none_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); }) ||
-          !obstacles.contact_near(point_at(origin, middle), radius + kObstacleReach, radius + kObstacleDepth)) {
-        continue;
-      }
-      // From one place to another the distance changes by the way between them at most: a place with room around it
-      // speaks for its neighbours.
-      Float4 free_place{};
-      float room = 0;
-      for (const std::uint32_t i : members) {
-        const Float4 end = x[i] + way[i];
-        if (room > norm(end - free_place)) continue;
-        const auto contact = obstacles.contact_near(point_at(origin, end), kObstacleDepth, kObstacleDepth);
-        const double distance = contact ? contact->distance : kObstacleDepth;
-        if (distance >= kObstacleReach) {
-          free_place = end;
-          room = static_cast<float>(distance - kObstacleReach - kRounding);
-          continue;
-        }
-        const Float4 normal = to_float4(contact->normal);
-        planes.push_back({i, normal, dot(normal, end) + static_cast<float>(options.clearance_m - distance), end,
-                          static_cast<float>(distance)});
+      if (std::any_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); }) &&
+          obstacles.contact_near(point_at(origin, middle), radius + kObstacleReach, radius + kObstacleDepth)) {
+        near_faces.push_back(face);
       }
     }
+  }
+
+  // Where vertices would be at the end of the frame. Those of the last round of subdivision, three of four, lie between
+  // two others, and mostly so does their plane.
+  void find_planes(const Eigen::Vector3d& origin) {
+    planes.clear();
+    if (obstacles.empty()) return;
+    find_near_faces(origin);
+    plane_of.assign(count, kUnmeasured);
+    const auto rounds = subdivision.level_sizes.size();
+    const std::uint32_t earlier = rounds > 1 ? subdivision.level_sizes[rounds - 2] : count;
+    for (const bool last_round : {false, true}) {
+      for (const std::uint32_t face : near_faces) {
+        // From one place to another the distance changes by the way between them at most: a place with room around it
+        // speaks for its neighbours.
+        Float4 free_place{};
+        float room = 0;
+        for (const std::uint32_t i : layers.vertices_of(face)) {
+          const Float4 end = x[i] + way[i];
+          if ((i >= earlier) != last_round) continue;
+          if (room > norm(end - free_place) || (last_round && place_between(i, end))) continue;
+          const auto contact = obstacles.contact_near(point_at(origin, end), kObstacleDepth, kObstacleDepth);
+          const double distance = contact ? contact->distance : kObstacleDepth;
+          if (distance >= kObstacleReach) {
+            free_place = end;
+            room = static_cast<float>(distance - kObstacleReach - kRounding);
+            continue;
+          }
+          add_plane(i, to_float4(contact->normal), end, static_cast<float>(distance), 0);
+        }
+      }
+    }
+  }
+
+  // error: of the distance.
+  void add_plane(std::uint32_t i, Float4 normal, Float4 end, float distance, float error) {
+    plane_of[i] = static_cast<std::uint32_t>(planes.size());
+    const float offset = dot(normal, end) + static_cast<float>(options.clearance_m) - distance;
+    planes.push_back({i, normal, offset, end, distance - error});
+  }
+
+  // The plane of a vertex that halves an edge from those of the edge's ends, where the obstacle bends little between
+  // them.
+  bool place_between(std::uint32_t i, Float4 end) {
+    const auto [first, second] = subdivision.halved_edges[i];
+    if (plane_of[first] == kUnmeasured || plane_of[second] == kUnmeasured) return false;
+    const ObstaclePlane &a = planes[plane_of[first]], &b = planes[plane_of[second]];
+    const Float4 sum = a.normal + b.normal;
+    // How far the obstacle rises between them, as an arc does over its chord.
+    const float rise = dot(b.normal - a.normal, b.place - a.place) / 8;
+    if (std::abs(rise) > kMostRise || dot(a.normal, b.normal) < kLeastTurn) return false;
+    const Float4 normal = sum / norm(sum);
+    const float distance = 0.5f * (a.distance + b.distance) + dot(normal, end - 0.5f * (a.place + b.place)) - rise;
+    add_plane(i, normal, end, distance, std::abs(rise));
+    return true;
   }
 
   // Moves vertices at x and, beyond what they approached within the step, where they came from: what overlapped before
