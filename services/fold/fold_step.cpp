@@ -220,7 +220,22 @@ struct FoldStep::Work {
     return true;
   }
 
-  // How far each vertex is to go back to the coarse cloth: 1 where the state passes through itself, less around.
+  // Another answer says where the cloth is at large better than the coarse cloth does, which may be centimetres away
+  // from it: the frame's motion leads from the averages of the state's cloth to those of the answer.
+  void follow_start() {
+    for (std::uint32_t i = 0; i < count; ++i) {
+      if (fixed[i]) continue;
+      from[i] = x[i];
+      before[i] = given[i] - x[i];
+    }
+    for (const std::uint32_t i : pins) before[i] = way[i];
+    tracking.smooth(before, moved);
+    for (std::uint32_t i = 0; i < count; ++i) {
+      if (!fixed[i]) way[i] = moved[i];
+    }
+  }
+
+  // How far each vertex is to go back to what it follows: 1 where the state passes through itself, less around.
   void find_tangles(const Positions& positions) {
     tangles.update(positions);
     // Which ones of too many are found is not specified, and the frame must not depend on it.
@@ -433,7 +448,8 @@ struct FoldStep::Work {
       }
       if (tangled[i] > 0) {
         const float pull = tangled[i] * kTangleFrequency;
-        acceleration += pull * pull * (from[i] + middle * way[i] - x[i]) + 2 * pull * (per_frame * way[i] - velocity);
+        const Float4 place = guided ? given[i] - (1 - middle) * way[i] : from[i] + middle * way[i];
+        acceleration += pull * pull * (place - x[i]) + 2 * pull * (per_frame * way[i] - velocity);
       }
       velocity += step_s * acceleration;
       velocity -= along * (velocity - per_frame * way[i]);
@@ -503,8 +519,10 @@ FoldReport FoldStep::fold(const FoldFrame& frame, FoldState& state) {
   w.hold(frame.held);
   report.restarted = w.begin(state, origin);
   const auto contact_start = Clock::now();
+  const bool guided = frame.start != nullptr;
+  if (guided && !report.restarted) w.follow_start();
   for (std::uint32_t i = 0; i < w.count; ++i) {
-    w.moved[i] = w.from[i] + w.way[i];
+    w.moved[i] = to_float4(to.row(i).transpose());
     w.before[i] = w.x[i] + w.way[i];
   }
   w.layer_contacts = w.layers.find(coarse, w.moved, w.before, kLayerReach, static_cast<float>(w.options.thickness_m));
@@ -514,7 +532,7 @@ FoldReport FoldStep::fold(const FoldFrame& frame, FoldState& state) {
   std::fill(w.tangled.begin(), w.tangled.end(), 0.0f);
   if (!report.restarted) w.find_tangles(state.positions);
   w.find_normals();
-  for (int index = 0; index < w.steps; ++index) w.step(index, frame.start != nullptr, report.restarted);
+  for (int index = 0; index < w.steps; ++index) w.step(index, guided, report.restarted);
   w.leave_obstacles(origin);
   report.layer_contacts = w.layer_contacts.size();
   report.obstacle_contacts = w.planes.size();

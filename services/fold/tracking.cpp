@@ -46,6 +46,19 @@ void Tracking::begin() {
   for (auto* buffer : {&averages_, &large_, &moves_}) std::fill(buffer->begin(), buffer->end(), Float4{});
 }
 
+void Tracking::smooth(std::span<const Float4> values, std::span<Float4> smoothed) {
+  std::fill(smoothed_.begin(), smoothed_.end(), Float4{});
+  for (std::uint32_t i = 0; i < corners_.size(); ++i) {
+    const Corners& c = corners_[i];
+    for (std::size_t k = 0; k < 3; ++k) smoothed_[c.coarse[k]] += c.share[k] * values[i];
+  }
+  for (std::uint32_t i = 0; i < corners_.size(); ++i) {
+    const Corners& c = corners_[i];
+    smoothed[i] = Float4{};
+    for (std::size_t k = 0; k < 3; ++k) smoothed[i] += c.weight[k] * smoothed_[c.coarse[k]];
+  }
+}
+
 void Tracking::set_touching(std::span<const float> touching) {
   touching_.assign(touching.begin(), touching.end());
   held_.clear();

@@ -45,6 +45,9 @@ class Tracking {
     finish(frequency, time_s);
   }
 
+  /// The averages of values of fine vertices, upsampled again: what of them is not finer than the coarse mesh.
+  void smooth(std::span<const Float4> values, std::span<Float4> smoothed);
+
   /// m/s^2, of a fine vertex.
   Float4 at(std::uint32_t i) const {
     const Corners& c = corners_[i];
