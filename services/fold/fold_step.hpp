@@ -23,7 +23,8 @@ struct FoldOptions {
   Eigen::Vector3d air_velocity = Eigen::Vector3d::Zero();  ///< m/s, of the wind
   double thickness_m = 3e-3;                               ///< kept between layers, where the coarse cloth has as much
   double clearance_m = 2e-3;                               ///< kept from obstacles
-  double restart_m = 0.2;  ///< a state farther (RMS) from the coarse cloth of the frame before is not continued
+  bool start_leads = false;  ///< averages follow those of a start, where a frame has one, not the coarse cloth's
+  double restart_m = 0.2;    ///< a state farther (RMS) from the coarse cloth of the frame before is not continued
 };
 
 /// What a frame leaves for the next one: the fine cloth, (V_fine x 3) each. Empty: there is none.

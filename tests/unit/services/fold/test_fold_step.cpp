@@ -258,6 +258,25 @@ TEST_F(FoldStepTest, AStartDrawsTheClothToItself) {
   EXPECT_LT((started.positions - start).norm(), 0.7f * (plain.positions - start).norm());
 }
 
+// An answer of a network that learnt from free simulations is not where the coarse cloth is.
+TEST_F(FoldStepTest, AStartThatLeadsCarriesTheClothAway) {
+  options.gravity.setZero();
+  const auto distance_after = [&](bool leads, int frames) {
+    options.start_leads = leads;
+    FoldStep step = make();
+    FoldState state;
+    Positions start = upsampled(rest);
+    step.fold({rest, still, {}, {}, &start}, state);
+    for (int k = 0; k < frames; ++k) {
+      start.col(1).array() += 2e-3f;  // 5 cm/s
+      step.fold({rest, still, {}, {}, &start}, state);
+    }
+    return (state.positions - start).rowwise().norm().mean();
+  };
+  EXPECT_LT(distance_after(true, 30), 2e-3f);
+  EXPECT_GT(distance_after(false, 30), 8e-3f) << "the coarse cloth stands still";
+}
+
 TEST_F(FoldStepTest, FarFromTheOriginFoldsAreTheSame) {
   FoldStep step = make();
   const FoldState here = squeeze(step, 5);
