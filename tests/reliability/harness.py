@@ -93,10 +93,10 @@ class Up:
         return code
 
 
-def tablecloth():
-    """deploy/garments/tablecloth.obj as a message."""
+def garment(name):
+    """deploy/garments/NAME.obj as a message."""
     positions, uv, faces, uv_faces = [], [], [], []
-    for line in (SOURCE / "deploy/garments/tablecloth.obj").read_text().splitlines():
+    for line in (SOURCE / f"deploy/garments/{name}.obj").read_text().splitlines():
         key, *values = line.split() or [""]
         if key == "v":
             positions += map(float, values[:3])
@@ -111,12 +111,23 @@ def tablecloth():
     return common_pb2.Topology(rest_positions=positions, faces=faces, uv=uv, uv_faces=uv_faces)
 
 
+def scene(name, garment_name, frames, seed, perturbation_m, held):
+    """A scene without files: a garment that hangs by some vertices."""
+    result = scene_pb2.Scene(name=name, frames=frames, seed=seed, perturbation_m=perturbation_m,
+                             garment_mesh=garment(garment_name),
+                             material_json=(SOURCE / "deploy/materials/gray-interlock.json").read_text())
+    result.handles.add().vertices.extend(held)
+    return result
+
+
 def falling_cloth(frames, seed):
-    """A scene without files: the tablecloth, held by one vertex."""
-    scene = scene_pb2.Scene(name="draping", frames=frames, seed=seed, perturbation_m=0.001, garment_mesh=tablecloth(),
-                            material_json=(SOURCE / "deploy/materials/gray-interlock.json").read_text())
-    scene.handles.add().vertices.append(77)
-    return scene
+    """The tablecloth, held by one vertex."""
+    return scene("draping", "tablecloth", frames, seed, 0.001, [77])
+
+
+def falling_sheet(frames, seed):
+    """The cloth of the data set SHEET, held by two corners."""
+    return scene("sheet", "sheet", frames, seed, 0.02, [0, 72])
 
 
 def bits(result):

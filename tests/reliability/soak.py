@@ -66,7 +66,7 @@ class Honest(threading.Thread):
 class Soak:
     def __init__(self, options):
         self.up = harness.Up(options.pleat, str(harness.WORK / "data"))
-        self.cloth, self.rate, self.options = harness.tablecloth(), options.rate, options
+        self.cloth, self.rate, self.options = harness.garment("tablecloth"), options.rate, options
         self.over, self.disturbing = threading.Event(), threading.Event()
         self.lock, self.faults, self.latencies = threading.Lock(), [], {False: [], True: []}
         self.disturbances = {}
