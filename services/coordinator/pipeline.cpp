@@ -198,10 +198,6 @@ RemoteStage<FoldRpc>::Options fold_options(const ServiceAddresses& addresses, co
   const auto turn = static_cast<std::ptrdiff_t>(session.fold_turn % options.addresses.size());
   std::rotate(options.addresses.begin(), options.addresses.begin() + turn, options.addresses.end());
   *options.open.mutable_open() = session.fold;
-  // What learns such features learns from free simulations, which are not where the coarse cloth is.
-  if (session.representation.has_vertex_features()) {
-    options.open.mutable_open()->mutable_settings()->set_start_leads(true);
-  }
   set_meshes(session, options.open.mutable_open());
   options.memory = session.fold_memory;
   return options;

@@ -421,7 +421,7 @@ struct FoldStep::Work {
     }
   }
 
-  void step(int index, bool guided, bool led, bool restarted) {
+  void step(int index, bool guided, bool restarted) {
     const float middle = (static_cast<float>(index) + 0.5f) / static_cast<float>(steps);
     const float end = (static_cast<float>(index) + 1) / static_cast<float>(steps);
     if (index % kPullEvery == 0) {
@@ -448,7 +448,7 @@ struct FoldStep::Work {
       }
       if (tangled[i] > 0) {
         const float pull = tangled[i] * kTangleFrequency;
-        const Float4 place = led ? given[i] - (1 - middle) * way[i] : from[i] + middle * way[i];
+        const Float4 place = guided ? given[i] - (1 - middle) * way[i] : from[i] + middle * way[i];
         acceleration += pull * pull * (place - x[i]) + 2 * pull * (per_frame * way[i] - velocity);
       }
       velocity += step_s * acceleration;
@@ -520,8 +520,7 @@ FoldReport FoldStep::fold(const FoldFrame& frame, FoldState& state) {
   report.restarted = w.begin(state, origin);
   const auto contact_start = Clock::now();
   const bool guided = frame.start != nullptr;
-  const bool led = guided && w.options.start_leads && !report.restarted;
-  if (led) w.follow_start();
+  if (guided && !report.restarted) w.follow_start();
   for (std::uint32_t i = 0; i < w.count; ++i) {
     w.moved[i] = to_float4(to.row(i).transpose());
     w.before[i] = w.x[i] + w.way[i];
@@ -533,7 +532,7 @@ FoldReport FoldStep::fold(const FoldFrame& frame, FoldState& state) {
   std::fill(w.tangled.begin(), w.tangled.end(), 0.0f);
   if (!report.restarted) w.find_tangles(state.positions);
   w.find_normals();
-  for (int index = 0; index < w.steps; ++index) w.step(index, guided, led, report.restarted);
+  for (int index = 0; index < w.steps; ++index) w.step(index, guided, report.restarted);
   w.leave_obstacles(origin);
   report.layer_contacts = w.layer_contacts.size();
   report.obstacle_contacts = w.planes.size();

@@ -23,8 +23,7 @@ struct FoldOptions {
   Eigen::Vector3d air_velocity = Eigen::Vector3d::Zero();  ///< m/s, of the wind
   double thickness_m = 3e-3;                               ///< kept between layers, where the coarse cloth has as much
   double clearance_m = 2e-3;                               ///< kept from obstacles
-  bool start_leads = false;  ///< averages follow those of a start, where a frame has one, not the coarse cloth's
-  double restart_m = 0.2;    ///< a state farther (RMS) from the coarse cloth of the frame before is not continued
+  double restart_m = 0.2;  ///< a state farther (RMS) from the coarse cloth of the frame before is not continued
 };
 
 /// What a frame leaves for the next one: the fine cloth, (V_fine x 3) each. Empty: there is none.
@@ -38,8 +37,9 @@ struct FoldFrame {
   const Positions& coarse_velocities;  ///< (V_coarse x 3), backward differences over a frame
   std::span<const ObstacleFrame> obstacles = {};
   std::span<const std::uint32_t> held = {};  ///< coarse vertices in handles: the fine cloth is there exactly
-  const Positions* start = nullptr;  ///< (V_fine x 3) optional: another answer for this frame, to which the fine
-                                     ///< cloth is drawn as well
+  /// (V_fine x 3) optional: another answer for this frame, to which the fine cloth is drawn, and whose averages it
+  /// follows in place of the coarse cloth's.
+  const Positions* start = nullptr;
 };
 
 struct FoldReport {

@@ -42,7 +42,6 @@ FoldOptions options_from(const v1::FoldOpen& open) {
   if (settings.has_frequency()) options.frequency = settings.frequency();
   if (settings.has_step_s()) options.step_s = settings.step_s();
   if (settings.has_restart_m()) options.restart_m = settings.restart_m();
-  options.start_leads = settings.start_leads();
   return options;
 }
 

@@ -259,22 +259,17 @@ TEST_F(FoldStepTest, AStartDrawsTheClothToItself) {
 }
 
 // An answer of a network that learnt from free simulations is not where the coarse cloth is.
-TEST_F(FoldStepTest, AStartThatLeadsCarriesTheClothAway) {
+TEST_F(FoldStepTest, AStartCarriesTheClothAwayFromTheCoarseOne) {
   options.gravity.setZero();
-  const auto distance_after = [&](bool leads, int frames) {
-    options.start_leads = leads;
-    FoldStep step = make();
-    FoldState state;
-    Positions start = upsampled(rest);
+  FoldStep step = make();
+  FoldState state;
+  Positions start = upsampled(rest);
+  step.fold({rest, still, {}, {}, &start}, state);
+  for (int k = 0; k < 30; ++k) {
+    start.col(1).array() += 2e-3f;  // 5 cm/s
     step.fold({rest, still, {}, {}, &start}, state);
-    for (int k = 0; k < frames; ++k) {
-      start.col(1).array() += 2e-3f;  // 5 cm/s
-      step.fold({rest, still, {}, {}, &start}, state);
-    }
-    return (state.positions - start).rowwise().norm().mean();
-  };
-  EXPECT_LT(distance_after(true, 30), 2e-3f);
-  EXPECT_GT(distance_after(false, 30), 8e-3f) << "the coarse cloth stands still";
+  }
+  EXPECT_LT((state.positions - start).rowwise().norm().mean(), 2e-3f);
 }
 
 TEST_F(FoldStepTest, FarFromTheOriginFoldsAreTheSame) {
