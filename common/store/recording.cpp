@@ -4,6 +4,7 @@
 #include <unistd.h>
 #include <zlib.h>
 
+#include <cerrno>
 #include <numeric>
 
 #include "common/base/hash.hpp"
@@ -357,7 +358,9 @@ Recording::FileLock::FileLock(const std::filesystem::path& path) : descriptor(op
   struct flock whole {};
   whole.l_type = F_WRLCK;
   whole.l_whence = SEEK_SET;
-  if (fcntl(descriptor, F_OFD_SETLK, &whole) != 0) {
+  // A network file system may have no locks: there the folder must have one writer (of shards: their leases).
+  const auto has_none = [](int cause) { return cause == ENOLCK || cause == EOPNOTSUPP || cause == ENOSYS; };
+  if (fcntl(descriptor, F_OFD_SETLK, &whole) != 0 && !has_none(errno)) {
     close(descriptor);
     throw Error(ErrorCode::kFailedPrecondition, path.string() + ": another writer has it open");
   }
