@@ -19,7 +19,8 @@ constexpr const char* kFooter =
     "  pleat export out/demo/result.h5 --format pc2\n"
     "\n"
     "`pleat help COMMAND` lists a command's options.\n"
-    "Exit codes: 0 done, 1 failed, 2 wrong usage or input, 3 done, but not free of intersections.";
+    "Exit codes: 0 done, 1 failed, 2 wrong usage or input, 3 done, but not free of intersections,\n"
+    "75 not done yet: run it again.";
 
 /// `pleat help dataset generate` is `pleat dataset generate --help`; an unknown command stays alone, to be refused.
 std::vector<const char*> with_help(const CLI::App& root, int argc, const char* const* argv) {

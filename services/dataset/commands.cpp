@@ -1,10 +1,14 @@
 #include "services/dataset/commands.hpp"
 
+#include <cmath>
 #include <cstdio>
+#include <cstdlib>
 
 #include "common/base/error.hpp"
 #include "common/base/process.hpp"
 #include "common/base/program.hpp"
+#include "common/base/signals.hpp"
+#include "services/dataset/shards.hpp"
 #include "services/dataset/verify.hpp"
 
 namespace pleat::dataset {
@@ -19,6 +23,10 @@ void print(const VerifyReport& report) {
       static_cast<unsigned long long>(report.frames_judged), static_cast<unsigned long long>(report.self_intersections),
       static_cast<unsigned long long>(report.penetrations), report.feature_distance_mean_m,
       report.feature_distance_max_m);
+  if (report.unmerged) {
+    std::printf("made by shards, not merged yet: %llu sequences to be made\n",
+                static_cast<unsigned long long>(report.pending));
+  }
 }
 
 }  // namespace
@@ -66,6 +74,12 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
                  "shipped young woman)");
   app.add_option("--motions", choice.motions,
                  "BVH and AMC files, or folders of them (skirt, tshirt, pants; default: what is shipped)");
+  app.add_option("--shard", choice.shard,
+                 "I/N: this is worker I of N on one shared folder, and others run with the same options; none: it is "
+                 "not (default: SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX with JOB_COMPLETIONS, where they are set)");
+  app.add_option("--lease", choice.lease_s, "with shards: seconds after which a silent worker is taken for dead")
+      ->capture_default_str()
+      ->check(positive_number());
   app.add_flag("--deflate,!--no-deflate", choice.deflate, "compress finished sequences (default: yes)");
 }
 
@@ -101,6 +115,44 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   options.deflate = choice.deflate;
   options.git_revision = git_revision;
   return options;
+}
+
+int generate_chosen(const GenerateChoice& choice, const std::string& git_revision,
+                    const std::function<void(const Progress&)>& progress) {
+  const GenerateOptions options = generate_options(choice, git_revision);
+  const std::optional<Shard> shard = choose_shard(choice.shard, [](const char* name) { return std::getenv(name); });
+  if (!shard) {
+    // The work resumes from disk: being stopped at once is the fastest clean end.
+    restore_signal_handlers();
+    generate(options, progress);
+    return kExitDone;
+  }
+  install_signal_handlers();
+  const auto expiry = std::chrono::milliseconds(std::llround(1000 * choice.lease_s));
+  switch (generate_shard(options, {*shard, expiry, interrupted}, progress)) {
+    case ShardEnd::kDone:
+      std::fprintf(stderr, "all sequences are made; next: pleat dataset merge %s\n", choice.folder.c_str());
+      return kExitDone;
+    case ShardEnd::kOthersWork:
+      std::fprintf(stderr, "other workers make what is left; run again if they may die (exit code %d)\n",
+                   kExitRunAgain);
+      return kExitRunAgain;
+    case ShardEnd::kInterrupted:
+      std::fprintf(stderr, "interrupted, with check-points; run again to go on (exit code %d)\n", kExitRunAgain);
+      return kExitRunAgain;
+  }
+  throw_internal("unknown end of a shard");
+}
+
+int merge_and_print(const std::string& folder, bool json) {
+  std::FILE* lines = json ? stderr : stdout;
+  const ShardEnd end = merge(folder, GenerateOptions().margin, [lines](const std::string& line) {
+    std::fprintf(lines, "%s\n", line.c_str());
+    std::fflush(lines);
+  });
+  if (end != ShardEnd::kDone) return kExitRunAgain;
+  print_description(folder, json);
+  return kExitDone;
 }
 
 void print_description(const std::string& folder, bool json) {

@@ -22,6 +22,8 @@ struct GenerateChoice {
   int frames = 0, rounds = 0, train = -1, test = -1, extra = 0, workers = 0;
   std::uint64_t seed = 1;
   bool deflate = true;
+  std::string shard;    ///< I/N or none; empty: as the environment says
+  double lease_s = 60;  ///< a worker that is silent for so long has died
 };
 
 /// All but the folder.
@@ -29,6 +31,14 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice);
 
 /// What `choice` asks for. Throws kInvalidArgument (unknown set).
 GenerateOptions generate_options(const GenerateChoice& choice, const std::string& git_revision);
+
+/// Makes the data set, or this worker's part of it: choose_shard() decides, and what it chose is said. Returns an exit
+/// code: kExitRunAgain if there is more to do.
+int generate_chosen(const GenerateChoice& choice, const std::string& git_revision,
+                    const std::function<void(const Progress&)>& progress);
+
+/// Merges the shards, with lines on stdout, or stderr with `json`; then prints the description. Returns an exit code.
+int merge_and_print(const std::string& folder, bool json = false);
 
 /// What is in the data set, on stdout; with `json` as describe() has it.
 void print_description(const std::string& folder, bool json = false);

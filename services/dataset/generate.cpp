@@ -1,15 +1,7 @@
 #include "services/dataset/generate.hpp"
 
-#include <poll.h>
-#include <signal.h>
-#include <sys/prctl.h>
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <chrono>
-#include <cstdio>
-#include <cstring>
 #include <fstream>
 #include <iterator>
 #include <map>
@@ -21,81 +13,10 @@
 #include "common/store/dataset.hpp"
 #include "services/dataset/normalization.hpp"
 #include "services/dataset/sequence.hpp"
+#include "services/dataset/shard_folder.hpp"
+#include "services/dataset/workers.hpp"
 
 namespace pleat::dataset {
-namespace {
-
-using Clock = std::chrono::steady_clock;
-
-/// What a worker writes to its pipe: one of these per event, smaller than PIPE_BUF so that it arrives whole.
-struct Event {
-  enum Kind : std::uint32_t { kFrame, kDone, kDropped, kFailed };
-  std::uint32_t kind = kFrame;
-  std::uint32_t code = 0;
-  std::uint64_t frames = 0;
-  char text[488] = {};
-};
-
-/// A process that makes one sequence.
-struct Worker {
-  std::size_t plan = 0;
-  pid_t process = -1;
-  int pipe = -1;
-  bool ended = false;  ///< it said how it ended
-};
-
-void send(int pipe, const Event& event) {
-  const ssize_t written = write(pipe, &event, sizeof(event));
-  if (written != static_cast<ssize_t>(sizeof(event))) _exit(1);  // the parent has gone
-}
-
-[[noreturn]] void run_worker(const GenerateOptions& options, const SequencePlan& plan, int pipe, pid_t parent) {
-  prctl(PR_SET_PDEATHSIG, SIGKILL);
-  if (getppid() != parent) _exit(1);
-  Event last;
-  try {
-    const SequenceReport report = make_sequence(options.folder, plan, options.deflate, [&](std::uint64_t frames) {
-      Event event;
-      event.frames = frames;
-      send(pipe, event);
-    });
-    last.kind = report.dropped.empty() ? Event::kDone : Event::kDropped;
-    if (report.dropped.empty()) {
-      std::snprintf(last.text, sizeof(last.text), "%.0f ms coarse and %.0f ms fine a frame, %llu steps cut",
-                    report.coarse_ms, report.fine_ms, static_cast<unsigned long long>(report.cut_steps));
-    } else {
-      std::snprintf(last.text, sizeof(last.text), "%s", report.dropped.c_str());
-    }
-  } catch (const Error& error) {
-    last.kind = Event::kFailed;
-    last.code = static_cast<std::uint32_t>(error.code());
-    std::snprintf(last.text, sizeof(last.text), "%s", error.what());
-  } catch (const std::exception& error) {
-    last.kind = Event::kFailed;
-    last.code = static_cast<std::uint32_t>(ErrorCode::kInternal);
-    std::snprintf(last.text, sizeof(last.text), "%s", error.what());
-  }
-  send(pipe, last);
-  _exit(last.kind == Event::kFailed ? 1 : 0);
-}
-
-Worker start_worker(const GenerateOptions& options, const SequencePlan& plan, std::size_t index) {
-  int ends[2];
-  if (pipe(ends) != 0) throw Error(ErrorCode::kResourceExhausted, "no pipe for a worker");
-  const pid_t parent = getpid();
-  const pid_t process = fork();
-  if (process < 0) {
-    close(ends[0]);
-    close(ends[1]);
-    throw Error(ErrorCode::kResourceExhausted, "no process for a worker");
-  }
-  if (process == 0) {
-    close(ends[0]);
-    run_worker(options, plan, ends[1], parent);
-  }
-  close(ends[1]);
-  return {index, process, ends[0], false};
-}
 
 DatasetMaster make_master(const GenerateOptions& options, const std::vector<SequencePlan>& plans) {
   const simulation::Scene& scene = plans.front().scene;
@@ -114,9 +35,9 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   return master;
 }
 
-/// Throws kFailedPrecondition if the folder holds another data set. Returns the frames that are complete per sequence.
-std::map<std::string, std::uint64_t> inspect(const GenerateOptions& options, const std::vector<SequencePlan>& plans,
-                                             const DatasetMaster& master) {
+std::map<std::string, std::uint64_t> inspect_folder(const GenerateOptions& options,
+                                                    const std::vector<SequencePlan>& plans,
+                                                    const DatasetMaster& master) {
   std::map<std::string, std::uint64_t> complete;
   std::error_code error;
   if (!std::filesystem::exists(options.folder / "dataset.h5", error)) return complete;
@@ -137,13 +58,25 @@ std::map<std::string, std::uint64_t> inspect(const GenerateOptions& options, con
   return complete;
 }
 
-}  // namespace
+std::string how_it_ended(const WorkerEvent& event) {
+  switch (event.kind) {
+    case WorkerEvent::Kind::kFailed:
+      return " failed: " + event.text;
+    case WorkerEvent::Kind::kDropped:
+      return " is dropped: " + event.text;
+    case WorkerEvent::Kind::kInterrupted:
+      return " is interrupted";
+    default:
+      return " is finished: " + event.text;
+  }
+}
 
 void generate(const GenerateOptions& options, const std::function<void(const Progress&)>& progress) {
   std::vector<std::string> notes;
   std::vector<SequencePlan> plans = plan_sequences(options.scenes, &notes);
   DatasetMaster master = make_master(options, plans);
-  const std::map<std::string, std::uint64_t> complete = inspect(options, plans, master);
+  require_no_shards(options.folder);
+  const std::map<std::string, std::uint64_t> complete = inspect_folder(options, plans, master);
 
   const std::size_t processors = available_processors();
   std::vector<std::size_t> waiting;
@@ -168,7 +101,7 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
     plan.scene.threads = static_cast<int>(std::max<std::size_t>(1, processors / workers_wanted));
   }
 
-  const auto start = Clock::now();
+  const auto start = std::chrono::steady_clock::now();
   const auto total = [&] {
     std::uint64_t sum = 0;
     for (const std::uint64_t frames : done) sum += frames;
@@ -182,7 +115,7 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
     for (std::size_t i = 0; i < plans.size(); ++i) {
       if (dropped[i] == 0) now.frames += static_cast<std::uint64_t>(plans[i].scene.frames);
     }
-    now.elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
+    now.elapsed_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     const auto made = static_cast<double>(now.frames_done - before);
     if (made > 0) now.left_s = now.elapsed_s * static_cast<double>(now.frames - now.frames_done) / made;
     now.message = message;
@@ -190,55 +123,32 @@ void generate(const GenerateOptions& options, const std::function<void(const Pro
   };
   for (const std::string& note : notes) report("note: " + note);
 
-  std::vector<Worker> workers;
+  WorkerPool workers;
   std::optional<Error> failure;
-  while (!waiting.empty() || !workers.empty()) {
+  const auto on_event = [&](const WorkerEvent& event) {
+    if (event.kind == WorkerEvent::Kind::kFrame) {
+      done[event.plan] = std::max(done[event.plan], event.frames);
+      return report("");
+    }
+    if (event.kind == WorkerEvent::Kind::kDropped) {
+      dropped[event.plan] = 1;
+      done[event.plan] = 0;
+    }
+    const std::string& name = plans[event.plan].name;
+    report(name + how_it_ended(event));
+    if (event.error && !failure) failure.emplace(event.error->code(), name + ": " + event.text);
+  };
+  while (!waiting.empty() || workers.size() > 0) {
     while (workers.size() < workers_wanted && !waiting.empty()) {
       const std::size_t index = waiting.back();
       waiting.pop_back();
-      workers.push_back(start_worker(options, plans[index], index));
-      report(plans[index].name + " (" + plans[index].split + ") begins at frame " + std::to_string(done[index]));
+      const SequencePlan& plan = plans[index];
+      workers.start(index, [&](const auto& on_frame, const auto&) {
+        return make_sequence(options.folder, plan, options.deflate, on_frame);
+      });
+      report(plan.name + " (" + plan.split + ") begins at frame " + std::to_string(done[index]));
     }
-    std::vector<pollfd> polled;
-    for (const Worker& worker : workers) polled.push_back({worker.pipe, POLLIN, 0});
-    poll(polled.data(), polled.size(), -1);
-    for (std::size_t i = workers.size(); i-- > 0;) {
-      if (polled[i].revents == 0) continue;
-      Worker& worker = workers[i];
-      const std::string& name = plans[worker.plan].name;
-      Event event;
-      const ssize_t size = read(worker.pipe, &event, sizeof(event));
-      if (size == static_cast<ssize_t>(sizeof(event))) {
-        if (event.kind == Event::kFrame) {
-          done[worker.plan] = std::max(done[worker.plan], event.frames);
-          report("");
-        } else {
-          worker.ended = true;
-          const bool failed = event.kind == Event::kFailed;
-          if (event.kind == Event::kDropped) {
-            dropped[worker.plan] = 1;
-            done[worker.plan] = 0;
-          }
-          report(name +
-                 (failed                      ? " failed: "
-                  : dropped[worker.plan] != 0 ? " is dropped: "
-                                              : " is finished: ") +
-                 event.text);
-          if (failed && !failure) failure.emplace(static_cast<ErrorCode>(event.code), name + ": " + event.text);
-        }
-        continue;
-      }
-      int status = 0;
-      waitpid(worker.process, &status, 0);
-      close(worker.pipe);
-      if (!worker.ended && !failure) {
-        failure.emplace(ErrorCode::kInternal,
-                        name + ": its process ended with " +
-                            (WIFSIGNALED(status) ? std::string(strsignal(WTERMSIG(status)))
-                                                 : "exit code " + std::to_string(WEXITSTATUS(status))));
-      }
-      workers.erase(workers.begin() + static_cast<std::ptrdiff_t>(i));
-    }
+    workers.wait(std::chrono::milliseconds(-1), on_event);
   }
   if (failure) throw *failure;
   write_master();

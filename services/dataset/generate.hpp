@@ -3,9 +3,13 @@
 
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <string>
+#include <vector>
 
+#include "common/store/dataset.hpp"
 #include "services/dataset/scenes.hpp"
+#include "services/dataset/workers.hpp"
 
 namespace pleat::dataset {
 
@@ -26,10 +30,21 @@ struct GenerateOptions {
   std::string git_revision;
 };
 
+/// The master file of these plans, without sequences and normalisation.
+DatasetMaster make_master(const GenerateOptions& options, const std::vector<SequencePlan>& plans);
+
+/// Throws kFailedPrecondition if the folder holds another data set. Returns the frames that are complete per sequence.
+std::map<std::string, std::uint64_t> inspect_folder(const GenerateOptions& options,
+                                                    const std::vector<SequencePlan>& plans,
+                                                    const DatasetMaster& master);
+
+/// " is finished: ...", after the name of the sequence.
+std::string how_it_ended(const WorkerEvent& event);
+
 /// Makes what is missing of the data set, then writes its master file. Frames that exist are kept; a data set that was
-/// begun with other scenes is refused with kFailedPrecondition. Forks: call it before other threads exist. If sequences
-/// fail, the others are made all the same and the first failure is thrown. Dressed sequences that are dropped
-/// (sequence.hpp) are not in the master file, and are not tried again.
+/// begun with other scenes, or that shards make, is refused with kFailedPrecondition. Forks: call it before other
+/// threads exist. If sequences fail, the others are made all the same and the first failure is thrown. Dressed
+/// sequences that are dropped (sequence.hpp) are not in the master file, and are not tried again.
 void generate(const GenerateOptions& options, const std::function<void(const Progress&)>& progress);
 
 }  // namespace pleat::dataset

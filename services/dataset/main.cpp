@@ -23,12 +23,16 @@ int main(int argc, char** argv) {
   pleat::dataset::GenerateChoice choice;
   std::string revision;
   std::uint64_t stride = 1;
-  bool info = false, verify = false;
+  bool info = false, verify = false, merge = false;
   app.add_option("folder", choice.folder, "folder of the data set")->required();
   pleat::dataset::add_generate_options(app, choice);
   app.add_option("--revision", revision, "git revision to note in the master file");
   const auto shown = app.add_flag("--info", info, "print what is in the data set instead");
-  app.add_flag("--verify", verify, "check every invariant instead; exit code 1 if one is broken")->excludes(shown);
+  const auto checked =
+      app.add_flag("--verify", verify, "check every invariant instead; exit code 1 if one is broken")->excludes(shown);
+  app.add_flag("--merge", merge, "put together what shards made instead; exit code 75 if they are not done")
+      ->excludes(shown)
+      ->excludes(checked);
   app.add_option("--stride", stride, "with --verify: judge intersections of every n-th frame only")
       ->capture_default_str()
       ->check(pleat::positive_number());
@@ -37,8 +41,10 @@ int main(int argc, char** argv) {
       pleat::dataset::verify_and_print(choice.folder, stride);
     } else if (info) {
       pleat::dataset::print_description(choice.folder);
+    } else if (merge) {
+      return pleat::dataset::merge_and_print(choice.folder);
     } else {
-      pleat::dataset::generate(pleat::dataset::generate_options(choice, revision), print);
+      return pleat::dataset::generate_chosen(choice, revision, print);
     }
     return pleat::kExitDone;
   });

@@ -1,6 +1,11 @@
 #include "services/dataset/sequence.hpp"
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
@@ -9,6 +14,7 @@
 #include "common/base/own_file.hpp"
 #include "common/base/whole_file.hpp"
 #include "common/store/dataset.hpp"
+#include "common/store/hdf5.hpp"
 #include "services/dataset/dressed_sets.hpp"
 #include "services/dataset/poses.hpp"
 #include "services/simulation/simulation.hpp"
@@ -20,14 +26,6 @@ namespace fs = std::filesystem;
 
 constexpr std::uint64_t kCheckpointInterval = 20;
 
-fs::path sequence_file(const fs::path& folder, const std::string& name) {
-  return folder / "sequences" / (name + ".h5");
-}
-
-fs::path dropped_file(const fs::path& folder, const std::string& name) {
-  return folder / "sequences" / (name + ".dropped");
-}
-
 /// A note of drop_sequence; null if it is none.
 nlohmann::json read_dropped(const fs::path& path) {
   std::ifstream stream(path, std::ios::binary);
@@ -37,12 +35,42 @@ nlohmann::json read_dropped(const fs::path& path) {
   return whole ? note : nlohmann::json();
 }
 
-fs::path checkpoint_file(const fs::path& folder, const std::string& name) {
-  return folder / "sequences" / (name + ".checkpoint");
-}
-
 simulation::Mode mode_of(const SequencePlan& plan) {
   return plan.tracked ? simulation::Mode::kTrackedFine : simulation::Mode::kFreeFine;
+}
+
+SequenceOptions options_of(const SequencePlan& plan, const simulation::Simulation& simulation, bool deflate) {
+  SequenceOptions options;
+  options.name = plan.name;
+  options.split = plan.split;
+  options.scene = plan.scene_json;
+  options.frames = static_cast<std::uint64_t>(plan.scene.frames);
+  options.coarse_vertices = simulation.coarse().vertex_count();
+  options.fine_vertices = simulation.fine().vertex_count();
+  options.topology_hash = topology_hash(simulation.fine());
+  options.obstacles = simulation.obstacle_shapes();
+  for (const simulation::Obstacle& obstacle : plan.scene.obstacles) {
+    options.obstacle_vertices.push_back(obstacle.mesh.vertex_count());
+  }
+  options.deflate = deflate;
+  return options;
+}
+
+void sync(const fs::path& path) {
+  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const bool synced = file >= 0 && ::fsync(file) == 0;
+  const int cause = errno;
+  if (file >= 0) ::close(file);
+  if (!synced)
+    throw Error(ErrorCode::kResourceExhausted, path.string() + ": can't be written: " + std::strerror(cause));
+}
+
+/// Lets a recording that nobody writes end after its first `frames`.
+void forget_frames_after(const fs::path& partial, std::uint64_t frames) {
+  const auto lock = hdf5::lock();
+  hdf5::File file = hdf5::File::open_own(partial, true);
+  file.set_attribute("/", "frames_complete", frames);
+  file.close();
 }
 
 void save_checkpoint(const fs::path& path, const simulation::Simulation& simulation) {
@@ -72,6 +100,22 @@ void restore_checkpoint(const fs::path& path, std::uint64_t frames_complete, con
 
 }  // namespace
 
+fs::path sequence_file(const fs::path& folder, const std::string& name) {
+  return folder / "sequences" / (name + ".h5");
+}
+
+fs::path partial_file(const fs::path& folder, const std::string& name) {
+  return sequence_file(folder, name) += ".partial";
+}
+
+fs::path checkpoint_file(const fs::path& folder, const std::string& name) {
+  return folder / "sequences" / (name + ".checkpoint");
+}
+
+fs::path dropped_file(const fs::path& folder, const std::string& name) {
+  return folder / "sequences" / (name + ".dropped");
+}
+
 bool is_finished(const fs::path& folder, const std::string& name) {
   std::error_code error;
   return fs::exists(sequence_file(folder, name), error);
@@ -81,6 +125,11 @@ std::optional<std::string> why_dropped(const fs::path& folder, const SequencePla
   const nlohmann::json note = read_dropped(dropped_file(folder, plan.name));
   if (note.is_null() || note["scene"] != plan.scene_json) return std::nullopt;
   return note["reason"].get<std::string>();
+}
+
+std::optional<std::string> dropped_scene(const fs::path& folder, const std::string& name) {
+  const nlohmann::json note = read_dropped(dropped_file(folder, name));
+  return note.is_null() ? std::nullopt : std::optional(note["scene"].get<std::string>());
 }
 
 std::vector<std::pair<std::string, std::string>> dropped_sequences(const fs::path& folder) {
@@ -99,38 +148,40 @@ void drop_sequence(const fs::path& folder, const SequencePlan& plan, const std::
   write_whole_file(dropped_file(folder, plan.name),
                    nlohmann::ordered_json{{"reason", reason}, {"scene", plan.scene_json}}.dump());
   std::error_code error;
-  fs::remove(sequence_file(folder, plan.name) += ".partial", error);
+  fs::remove(partial_file(folder, plan.name), error);
   fs::remove(checkpoint_file(folder, plan.name), error);
 }
 
 SequenceReport make_sequence(const fs::path& folder, const SequencePlan& planned, bool deflate,
-                             const std::function<void(std::uint64_t)>& on_frame) {
+                             const std::function<void(std::uint64_t)>& on_frame, const SequenceControl& control) {
   SequencePlan plan = planned;
   if (plan.body) put_body(plan.scene, *plan.body);
   simulation::Simulation simulation(plan.scene, mode_of(plan));
-  SequenceOptions options;
-  options.name = plan.name;
-  options.split = plan.split;
-  options.scene = plan.scene_json;
-  options.frames = static_cast<std::uint64_t>(plan.scene.frames);
-  options.coarse_vertices = simulation.coarse().vertex_count();
-  options.fine_vertices = simulation.fine().vertex_count();
-  options.topology_hash = topology_hash(simulation.fine());
-  options.obstacles = simulation.obstacle_shapes();
-  for (const simulation::Obstacle& obstacle : plan.scene.obstacles) {
-    options.obstacle_vertices.push_back(obstacle.mesh.vertex_count());
-  }
-  options.deflate = deflate;
-  SequenceWriter writer(folder, options);
+  const SequenceOptions options = options_of(plan, simulation, deflate);
+  std::optional<SequenceWriter> writer(std::in_place, folder, options);
   const fs::path checkpoint = checkpoint_file(folder, plan.name);
-  restore_checkpoint(checkpoint, writer.frames_complete(), plan, simulation);
+  restore_checkpoint(checkpoint, writer->frames_complete(), plan, simulation);
+  if (control.durable && simulation.next_index() < writer->frames_complete()) {
+    writer.reset();
+    forget_frames_after(partial_file(folder, plan.name), simulation.next_index());
+    writer.emplace(folder, options);
+  }
+  const auto save = [&] {
+    if (control.durable) sync(partial_file(folder, plan.name));
+    save_checkpoint(checkpoint, simulation);
+  };
 
   std::optional<WornJudge> judge;
   if (plan.body) judge.emplace(plan.scene.garment.rest_positions, plan.scene.obstacles.front().mesh.rest_positions);
 
   SequenceReport report;
   std::uint64_t simulated = 0;
-  while (writer.frames_complete() < options.frames) {
+  while (writer->frames_complete() < options.frames) {
+    if (control.stopped && control.stopped()) {
+      if (simulation.next_index() > 0) save();
+      report.interrupted = true;
+      return report;
+    }
     simulation::SimulatedFrame frame = simulation.next_frame();
     report.coarse_ms += frame.times.coarse_ms;
     report.fine_ms += frame.times.fine_ms;
@@ -146,21 +197,21 @@ SequenceReport make_sequence(const fs::path& folder, const SequencePlan& planned
         return report;
       }
     }
-    if (frame.coarse.index < writer.frames_complete()) continue;
+    if (frame.coarse.index < writer->frames_complete()) continue;
     SequenceFrame record;
     record.time_s = frame.coarse.time_s;
     record.coarse = std::move(frame.coarse.positions);
     record.fine = std::move(frame.fine->positions);
     record.obstacles = std::move(frame.obstacles);
-    writer.append(record);
-    on_frame(writer.frames_complete());
-    if (writer.frames_complete() % kCheckpointInterval == 0) save_checkpoint(checkpoint, simulation);
+    writer->append(record);
+    on_frame(writer->frames_complete());
+    if (writer->frames_complete() % kCheckpointInterval == 0) save();
   }
   if (simulated > 0) {
     report.coarse_ms /= static_cast<double>(simulated);
     report.fine_ms /= static_cast<double>(simulated);
   }
-  writer.finish();
+  writer->finish();
   std::error_code error;
   fs::remove(checkpoint, error);
   fs::remove(dropped_file(folder, plan.name), error);  // of another scene

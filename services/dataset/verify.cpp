@@ -9,6 +9,7 @@
 #include "common/store/dataset.hpp"
 #include "services/dataset/normalization.hpp"
 #include "services/dataset/sequence.hpp"
+#include "services/dataset/shard_folder.hpp"
 #include "services/refinement/judge.hpp"
 
 namespace pleat::dataset {
@@ -23,7 +24,9 @@ nlohmann::json mesh_json(const Topology& topology) {
 class Verifier {
  public:
   Verifier(const std::filesystem::path& folder, const VerifyOptions& options)
-      : reader_(folder), options_(options), meshes_(reader_.topology()) {}
+      : reader_(folder), options_(options), unmerged_(has_shards(folder)), meshes_(reader_.topology()) {
+    report_.unmerged = unmerged_;
+  }
 
   VerifyReport run(const std::function<void(const std::string&)>& on_sequence) {
     check_master();
@@ -37,7 +40,7 @@ class Verifier {
     for (const std::string& name : reader_.master().sequences) {
       const auto found = present.find(name);
       if (found == present.end()) {
-        problem(name + ": not made yet");
+        if (!unmerged_) problem(name + ": not made yet");
         continue;
       }
       const std::size_t before = report_.problems.size();
@@ -51,13 +54,23 @@ class Verifier {
                   " frames, " + std::to_string(report_.problems.size() - before) + " problems");
     }
     if (distances_ > 0) report_.feature_distance_mean_m = distance_sum_ / static_cast<double>(distances_);
-    check_normalization();
+    if (unmerged_) {
+      count_pending();
+    } else {
+      check_normalization();
+    }
     return report_;
   }
 
  private:
   void problem(const std::string& text) {
     if (report_.problems.size() < kMaxProblems) report_.problems.push_back(text);
+  }
+
+  void count_pending() {
+    for (const ShardSequence& sequence : read_shard_plan(reader_.folder()).sequences) {
+      if (!is_settled(reader_.folder(), sequence)) ++report_.pending;
+    }
   }
 
   void check_master() {
@@ -155,6 +168,7 @@ class Verifier {
 
   DatasetReader reader_;
   VerifyOptions options_;
+  bool unmerged_;
   const MeshPair& meshes_;
   VerifyReport report_;
   double distance_sum_ = 0;
@@ -173,6 +187,7 @@ nlohmann::json describe(const std::filesystem::path& folder) {
                                 {"seed", master.seed},
                                 {"git_revision", master.git_revision},
                                 {"normalization", master.normalization.has_value()},
+                                {"unmerged", has_shards(folder)},
                                 {"splits", nlohmann::json::object()},
                                 {"sequences", nlohmann::json::array()}};
   std::map<std::string, std::pair<std::uint64_t, std::uint64_t>> splits;
@@ -207,6 +222,7 @@ std::vector<std::string> to_lines(const nlohmann::json& description) {
   lines.push_back("seed " + number(description.at("seed")) + ", git revision " +
                   description.at("git_revision").get<std::string>());
   lines.push_back(std::string("normalisation ") + (description.at("normalization") ? "present" : "absent"));
+  if (description.at("unmerged")) lines.emplace_back("made by shards, not merged yet");
   for (const nlohmann::json& info : description.at("sequences")) {
     lines.push_back(info.at("name").get<std::string>() + ": " + info.at("split").get<std::string>() + ", " +
                     number(info.at("frames_complete")) + " of " + number(info.at("frames")) + " frames" +
@@ -227,6 +243,8 @@ std::vector<std::string> to_lines(const nlohmann::json& description) {
 nlohmann::json to_json(const VerifyReport& report) {
   return {{"problems", report.problems},
           {"sequences", report.sequences},
+          {"unmerged", report.unmerged},
+          {"pending", report.pending},
           {"frames", report.frames},
           {"frames_judged", report.frames_judged},
           {"self_intersections", report.self_intersections},
