@@ -1,28 +1,6 @@
 // pleat-train CONFIG: trains a model bundle (docs/training.md).
-#include <sys/prctl.h>
-
-#include <atomic>
-#include <csignal>
-
 #include "common/base/program.hpp"
 #include "services/superres/training/program.hpp"
-
-namespace {
-
-std::atomic<bool> stop_requested{false};
-
-void handle_signals(bool first) {
-  if (first) {
-    std::signal(SIGINT, [](int) { stop_requested = true; });
-    std::signal(SIGTERM, [](int) { stop_requested = true; });
-  } else {
-    // Ctrl-C reaches the whole group; the first process decides when all stop.
-    std::signal(SIGINT, SIG_IGN);
-    ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-  }
-}
-
-}  // namespace
 
 int main(int argc, char** argv) {
   CLI::App app(
@@ -30,7 +8,9 @@ int main(int argc, char** argv) {
       "pleat-train");
   app.footer(
       "Ctrl-C ends the training after the step at hand, with a check-point.\n"
-      "Exit codes: 0 done, 1 failed, 2 wrong usage or input.");
+      "Exit codes: 0 done, 1 failed, 2 wrong usage or input; with --rendezvous, 75: stopped, or a process was lost, "
+      "run "
+      "again.");
   pleat::superres::TrainArguments arguments;
   bool strict = false;
   app.add_option("config", arguments.config, "JSON file");
@@ -46,15 +26,15 @@ int main(int argc, char** argv) {
   app.add_option("--processes", arguments.processes, "data-parallel training by so many processes on this host")
       ->capture_default_str()
       ->check(CLI::Range(1, 1024));
-  app.add_option("--rank", arguments.rank)->check(CLI::Range(0, 1023))->group("");
-  app.add_option("--rendezvous", arguments.rendezvous)->group("");
+  app.add_option("--rank", arguments.rank, "with --rendezvous: this is process RANK, from 0, of --processes")
+      ->check(CLI::Range(0, 1023));
+  app.add_option("--rendezvous", arguments.rendezvous,
+                 "HOST:PORT: the processes are started elsewhere too, with the same options, and meet there");
   return pleat::run_program(app, argc, argv, [&] {
     arguments.words.assign(argv + 1, argv + argc);
     if (strict) arguments.changes.emplace_back("strict=true");
     arguments.git_revision = PLEAT_GIT_REVISION;
-    arguments.stop = &stop_requested;
-    handle_signals(arguments.rank == 0);
-    pleat::superres::run_training(arguments);
-    return pleat::kExitDone;
+    arguments.stop = pleat::superres::stop_on_signals(arguments);
+    return pleat::superres::run_training(arguments);
   });
 }

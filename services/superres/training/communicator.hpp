@@ -10,9 +10,11 @@ namespace pleat::superres {
 
 class Communicator {
  public:
-  /// Process `rank` of `size`, which meet in the file `rendezvous` (a new one on a disk that all see). Waits for the
-  /// others. Uses NCCL for a CUDA device where LibTorch has it, else Gloo. Throws kFailedPrecondition if LibTorch was
-  /// built without, kUnavailable if the others don't come. A size of 1 needs nothing.
+  /// Process `rank` of `size`, which meet in the file `rendezvous`, a new one, on one host, or at `rendezvous` =
+  /// HOST:PORT (rendezvous.hpp), where the first one listens. Waits for the others. Gloo takes the interface that
+  /// GLOO_SOCKET_IFNAME names, else that of the host's name, or loopback where the rendezvous is there. Uses NCCL for a
+  /// CUDA device where LibTorch has it, else Gloo. Throws kFailedPrecondition if LibTorch was built without,
+  /// kUnavailable if the others don't come. A size of 1 needs nothing.
   Communicator(int rank, int size, const std::string& rendezvous, torch::Device device);
   ~Communicator();
 

@@ -1,7 +1,10 @@
 // pleat-train as a program: killed, short of disk, and as several processes.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 #include <sys/wait.h>
+#include <unistd.h>
 
 #include <chrono>
 #include <csignal>
@@ -111,6 +114,56 @@ TEST_F(TrainProgram, SeveralProcessesHaveTheCurveOfOne) {
   }
   EXPECT_EQ(shell("$TRAIN --set output=many --processes 5"), 2);
   EXPECT_THAT(said(), HasSubstr("'batch' = 4"));
+}
+
+/// A port of this host that nobody has at the moment.
+int free_port() {
+  const int socket = ::socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof address;
+  ::bind(socket, reinterpret_cast<sockaddr*>(&address), size);
+  ::getsockname(socket, reinterpret_cast<sockaddr*>(&address), &size);
+  ::close(socket);
+  return ntohs(address.sin_port);
+}
+
+// As on several machines, each of which has one process: started by somebody else, and one of them lost.
+TEST_F(TrainProgram, ProcessesThatMeetAtAnAddressGoOnAfterOneIsLost) {
+  ASSERT_EQ(shell("$TRAIN --set output=one"), 0) << said();
+  const auto both = [](const std::string& between) {
+    const std::string train =
+        "$TRAIN --set output=two --processes 2 --rendezvous 127.0.0.1:" + std::to_string(free_port());
+    return train + " --rank 1 & second=$!; " + train + " --rank 0 & first=$!; " + between + " wait $first";
+  };
+  EXPECT_EQ(shell(both("while [ $(cat two/log.csv 2>/dev/null | wc -l) -lt 2 ]; do sleep 0.02; done; "
+                       "kill -9 $second;")),
+            75)
+      << said();
+  EXPECT_THAT(said(), HasSubstr("a training process is gone"));
+  EXPECT_LT(rows("two").size(), rows("one").size());
+  ASSERT_EQ(shell(both("")), 0) << said();
+  const auto one = rows("one"), two = rows("two");
+  ASSERT_EQ(one.size(), two.size());
+  for (std::size_t i = 0; i < one.size(); ++i) {
+    for (std::size_t k = 0; k + 1 < one[i].size(); ++k) {
+      EXPECT_NEAR(two[i][k], one[i][k], 1e-4 * std::abs(one[i][k])) << "row " << i << ", column " << k;
+    }
+  }
+  EXPECT_EQ(shell(both("while [ $(cat two/log.csv | wc -l) -lt 2 ]; do sleep 0.02; done;") + "; wait $second"), 0)
+      << "what is done stays done";
+}
+
+TEST_F(TrainProgram, ASignalToAllProcessesOfADistributedTrainingEndsItAtACheckpoint) {
+  const std::string train =
+      "$TRAIN --set output=two --processes 2 --rendezvous 127.0.0.1:" + std::to_string(free_port());
+  EXPECT_EQ(shell(train + " --rank 1 & second=$!; " + train +
+                  " --rank 0 & first=$!; while [ $(cat two/log.csv 2>/dev/null | wc -l) -lt 2 ]; do sleep 0.02; done; "
+                  "kill $first $second; wait $first; code=$?; wait $second && exit $code"),
+            75)
+      << said();
+  EXPECT_TRUE(fs::exists(root_ / "two/checkpoint.pt"));
 }
 
 TEST_F(TrainProgram, FullDiskKeepsTheLastCheckpoint) {
