@@ -25,6 +25,7 @@
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/communicator.hpp"
 #include "services/superres/training/log.hpp"
+#include "services/superres/training/remembering.hpp"
 #include "services/superres/training/sampler.hpp"
 
 namespace pleat::superres {
@@ -126,6 +127,8 @@ class Trainer {
         network_(describe(config.architecture, ports_of(data)), config.seed),
         averaged_(network_.description(), config.seed),
         sampler_(config, data, network_.description().remembered),
+        type_(config.precision == "bfloat16" ? torch::kBFloat16 : torch::kFloat32),
+        remembering_(config, network_, sampler_, type_),
         device_(choose_device()),
         config_json_(pleat::superres::to_json(config)),
         identity_(identity(config, data)),
@@ -147,7 +150,6 @@ class Trainer {
     const int processors = std::max(1, static_cast<int>(available_processors()) / hooks.processes);
     at::set_num_threads(config.threads > 0 ? config.threads : processors);
     micro_batch_ = config.micro_batch > 0 ? std::min(config.micro_batch, config.batch) : config.batch;
-    type_ = config.precision == "bfloat16" ? torch::kBFloat16 : torch::kFloat32;
   }
 
   TrainResult run() {
@@ -184,7 +186,7 @@ class Trainer {
     started_processor_ = processor_seconds();
     saved_ = started_;
     while (state_.epoch < config_.epochs) {
-      hold_autoencoders(adam);
+      remembering_.hold_autoencoders(state_.epoch, adam);
       if (!train_epoch(adam)) {
         save(adam);
         if (result_.reason == StopReason::kMinutes && state_.step > 0) {
@@ -256,100 +258,20 @@ class Trainer {
 
   const Description& description() const { return network_.description(); }
 
-  /// Whether the autoencoders are trained yet.
-  bool in_autoencoders() const { return !description().twins.empty() && state_.epoch < config_.autoencoders.epochs; }
-
-  /// Those of [tgl]: the sum of squared errors of a frame, and codes that grow too large.
-  torch::Tensor autoencoder_loss(const Batch& batch) const {
-    std::vector<int> wanted;
-    for (const auto& twin : description().twins) wanted.insert(wanted.end(), {twin.out, twin.in, twin.code});
-    const auto values = network_.values({batch.input, {}, batch.answer}, wanted, type_);
-    auto loss = torch::zeros({}, batch.input.options());
-    for (std::size_t i = 0; i < values.size(); i += 3) {
-      const auto largest = std::get<0>(values[i + 2].abs().max(0));
-      loss = loss + (values[i] - values[i + 1]).square().sum() / values[i].size(0) +
-             torch::relu(largest - config_.autoencoders.largest).mean();
-    }
-    return loss;
-  }
-
-  /// After their epochs the autoencoders stay as they are, at the running mean of their weights.
-  void hold_autoencoders(const Adam& adam) {
-    if (description().twins.empty() || config_.autoencoders.epochs == 0 || in_autoencoders()) return;
-    std::vector<int> wanted;
-    for (const auto& twin : description().twins) wanted.push_back(twin.out);
-    const torch::NoGradGuard no_grad;
-    for (const std::size_t i : network_.parameters_of(wanted)) {
-      auto value = network_.parameters()[i].second;
-      value.copy_(adam.average[i]);
-      value.set_requires_grad(false);
-    }
-  }
-
-  /// Answers to a batch (B F images) of a network that remembers, from true answers with noise, or from its own. codes:
-  /// mean squared difference between what it remembers and what the true answers would leave.
-  torch::Tensor remembering_forward(const Batch& batch, int first_window, torch::Tensor& codes) const {
-    const std::int64_t windows = batch.known.size(0), remembered = batch.known.size(1), frames = batch.frames;
-    const auto of_windows = [&](const torch::Tensor& t, std::int64_t each) {
-      auto shape = t.sizes().vec();
-      shape.erase(shape.begin());
-      shape.insert(shape.begin(), {windows, each});
-      return t.reshape(shape);
-    };
-    const auto left_by = [&](const torch::Tensor& answers) {
-      return network_.values({batch.input, {}, answers}, {description().given_memory}, type_).front();
-    };
-    const auto true_codes = left_by(batch.answer);  // (B F, m, h', w')
-    const auto before =
-        of_windows(left_by(batch.before.flatten(0, 1)), remembered) * batch.known.view({windows, remembered, 1, 1, 1});
-    // (B, R + F, m, h', w')
-    auto line = torch::cat({before, of_windows(true_codes, frames)}, 1).detach();
-    const std::vector<int> wanted{description().values() - 1, description().memory};
-    torch::Tensor answers, own_codes;
-    if (sampler_.is_free(state_.epoch, state_.step)) {
-      const auto inputs = of_windows(batch.input, frames);
-      auto memory = line.slice(1, 0, remembered).flatten(1, 2);
-      std::vector<torch::Tensor> all, left;
-      for (std::int64_t f = 0; f < frames; ++f) {
-        const auto step = network_.values({inputs.select(1, f), memory, {}}, wanted, type_);
-        all.push_back(step[0].to(torch::kFloat32));
-        left.push_back(step[1]);
-        memory = network_.remember(memory, step[1]);
-      }
-      answers = torch::stack(all, 1).flatten(0, 1);
-      own_codes = torch::stack(left, 1).flatten(0, 1);
-    } else {
-      if (config_.history.noise > 0) {
-        const auto deviation = config_.history.noise * true_codes.detach().std();
-        line = line + deviation * sampler_.noise(state_.epoch, state_.step, first_window, line);
-        // What was not there stays nothing.
-        line.slice(1, 0, remembered).mul_(batch.known.view({windows, remembered, 1, 1, 1}));
-      }
-      std::vector<torch::Tensor> memories;
-      for (std::int64_t f = 0; f < frames; ++f) memories.push_back(line.slice(1, f, f + remembered).flatten(1, 2));
-      const auto memory = torch::stack(memories, 1).flatten(0, 1);
-      const auto step = network_.values({batch.input, memory, {}}, wanted, type_);
-      answers = step[0].to(torch::kFloat32);
-      own_codes = step[1];
-    }
-    codes = (own_codes - true_codes.detach()).square().mean();
-    return answers;
-  }
-
   /// Losses of this process's windows, weighted by their share of the step's valid texels; gradients are added up.
   void accumulate(int begin, int end, double texels, torch::Tensor& values) {
     Batch batch = sampler_.batch(state_.epoch, state_.step, begin, end);
     const double share = batch.mask.sum().item<double>() / texels;
     batch.to(device_);
-    if (in_autoencoders()) {
-      const auto loss = autoencoder_loss(batch);
+    if (remembering_.in_autoencoders(state_.epoch)) {
+      const auto loss = remembering_.autoencoder_loss(batch);
       values[0] += share * loss.detach().to(torch::kCPU, torch::kFloat64);
       (loss * share).backward();
       return;
     }
     torch::Tensor codes;
     const auto synthesized = description().remembers()
-                                 ? remembering_forward(batch, begin, codes)
+                                 ? remembering_.answers(batch, state_.epoch, state_.step, begin, codes)
                                  : sampler_.unmirrored(network_.forward(batch.input, type_), batch);
     Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
     if (codes.defined()) losses.total = losses.total + config_.losses.codes * codes;
@@ -575,23 +497,6 @@ class Trainer {
     return input.to(device_);
   }
 
-  /// Every frame of the validation sequences from their beginning, each from what the one before left.
-  template <typename Judge>
-  void validate_on_own_answers(const Judge& judge) const {
-    const std::vector<int> wanted{description().values() - 1, description().memory};
-    for (std::size_t s = 0; s < data_.sequences.size(); ++s) {
-      if (!data_.sequences[s].validation) continue;
-      torch::Tensor memory;
-      for (std::size_t f = 0; f < data_.sequences[s].input.size(); ++f) {
-        const auto input = validation_input(s, f);
-        if (!memory.defined()) memory = averaged_.no_memory(input);
-        const auto step = averaged_.values({input, memory, {}}, wanted, type_);
-        memory = averaged_.remember(memory, step[1]);
-        if (f % static_cast<std::size_t>(config_.validation.every_frames) == 0) judge(step[0], s, f);
-      }
-    }
-  }
-
   void validate(const Adam& adam, EpochReport& report) {
     const torch::NoGradGuard no_grad;
     for (std::size_t i = 0; i < adam.average.size(); ++i) {
@@ -608,12 +513,19 @@ class Trainer {
       }
       count += 1;
     };
-    if (description().remembers() && !in_autoencoders()) {
-      validate_on_own_answers(judge);
+    if (description().remembers() && !remembering_.in_autoencoders(state_.epoch)) {
+      for (std::size_t s = 0; s < data_.sequences.size(); ++s) {
+        if (!data_.sequences[s].validation) continue;
+        run_on_own_answers(
+            averaged_, data_.sequences[s].input.size(), type_, [&](std::size_t f) { return validation_input(s, f); },
+            [&](const torch::Tensor& answer, std::size_t f) {
+              if (f % static_cast<std::size_t>(config_.validation.every_frames) == 0) judge(answer, s, f);
+            });
+      }
     } else {
       for_validation_frames([&](std::size_t s, std::size_t f) {
         const auto input = validation_input(s, f);
-        if (!in_autoencoders()) return judge(averaged_.forward(input, type_), s, f);
+        if (!remembering_.in_autoencoders(state_.epoch)) return judge(averaged_.forward(input, type_), s, f);
         const auto truth = read_image(data_.sequences[s].answer, f).to(device_);
         judge(averaged_.values({input, {}, truth}, {description().reconstructed}, type_).front(), s, f);
       });
@@ -629,7 +541,7 @@ class Trainer {
     const double score = judge_ != nullptr ? report.vmse_m2 : image_error / count;
     if (!std::isfinite(score))
       throw Error(ErrorCode::kInternal, "validation error is not finite at epoch " + std::to_string(report.epoch));
-    report.best = !in_autoencoders() && (state_.best_epoch < 0 || score < state_.best_score);
+    report.best = !remembering_.in_autoencoders(state_.epoch) && (state_.best_epoch < 0 || score < state_.best_score);
     if (report.best) state_.best_epoch = state_.epoch, state_.best_score = score;
   }
 
@@ -680,8 +592,9 @@ class Trainer {
   const TrainHooks& hooks_;
   Network network_, averaged_;
   Sampler sampler_;
+  torch::ScalarType type_;
+  Remembering remembering_;
   torch::Device device_;
-  torch::ScalarType type_ = torch::kFloat32;
   std::string config_json_, identity_, checkpoint_, log_, bundle_;
   Communicator communicator_;
   int micro_batch_ = 1;
