@@ -11,6 +11,12 @@ namespace pleat::superres {
 
 namespace fs = std::filesystem;
 
+namespace {
+
+const std::string kRecord = "extra/pleat.json";
+
+}  // namespace
+
 std::vector<std::string> list_bundles(const std::string& folder) {
   std::error_code error;
   fs::directory_iterator files(folder, error);
@@ -40,9 +46,15 @@ std::string bundle_path(const std::string& folder, const std::string& name) {
   return path.string();
 }
 
-Metadata read_metadata(const std::string& folder, const std::string& name) {
-  static const std::string kRecord = "extra/pleat.json";
-  const std::string path = bundle_path(folder, name);
+bool is_bundle(const std::string& path) {
+  try {
+    return caffe2::serialize::PyTorchStreamReader(path).hasRecord(kRecord);
+  } catch (const std::exception&) {
+    return false;
+  }
+}
+
+Metadata read_metadata(const std::string& path) {
   std::string text;
   try {
     caffe2::serialize::PyTorchStreamReader archive(path);
@@ -61,6 +73,10 @@ Metadata read_metadata(const std::string& folder, const std::string& name) {
     throw_data_loss(path + ": no readable TorchScript archive (truncated?): " + cause.substr(0, cause.find('\n')));
   }
   return metadata_from_json(text, path);
+}
+
+Metadata read_metadata(const std::string& folder, const std::string& name) {
+  return read_metadata(bundle_path(folder, name));
 }
 
 }  // namespace pleat::superres

@@ -129,7 +129,7 @@ struct TrainConfig {
   int micro_batch = 0;
   /// The channels of a frame to the same, in the units of the data set's own normalisation.
   bool published_images() const { return representation == "geometry_image" && images.layout == "published"; }
-  std::string initial;  ///< check-point whose weights begin the training; empty: fresh weights
+  std::string initial;  ///< check-point or model bundle whose weights begin the training; empty: fresh weights
 };
 
 /// Reads JSON. An unknown key, an ill-typed value or one out of range is kInvalidArgument and names the key with its

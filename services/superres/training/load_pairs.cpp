@@ -13,6 +13,7 @@
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/superres/training/frame_converter.hpp"
+#include "services/superres/training/initial.hpp"
 #include "services/superres/training/mesh_tools.hpp"
 #include "services/superres/training/pair_file.hpp"
 #include "services/superres/training/pairs.hpp"
@@ -205,11 +206,14 @@ class Loader {
                     " MB of images, key 'cache_limit_mb' allows " + std::to_string(config_.cache_limit_mb));
   }
 
-  /// Of the published layout the data set's own; else measured on some frames of the training split.
+  /// Those of the weights that begin the training, where they mean the same here; of the published layout the data
+  /// set's own; else measured on some frames of the training split.
   void measure_ranges() {
     PairData& data = loaded_.data;
     const bool published = config_.published_images();
-    if (published && master().normalization) {
+    if (take_initial_ranges(config_, data)) {
+      report_("normalisation is that of " + config_.initial);
+    } else if (published && master().normalization) {
       data.input_ranges = data.output_ranges = *master().normalization;
     } else {
       if (published) report_("the data set has no normalisation: measuring it on the training split");

@@ -24,6 +24,7 @@
 #include "services/superres/bundle/folder.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/communicator.hpp"
+#include "services/superres/training/initial.hpp"
 #include "services/superres/training/log.hpp"
 #include "services/superres/training/remembering.hpp"
 #include "services/superres/training/sampler.hpp"
@@ -169,7 +170,7 @@ class Trainer {
       load_checkpoint(checkpoint_, identity_, network_, adam, state_);
       say("resumed at epoch " + std::to_string(state_.epoch + 1) + ", step " + std::to_string(state_.step));
     } else if (!config_.initial.empty()) {
-      load_initial(config_.initial, network_);
+      take_initial_weights(config_, data_, network_);
       for (std::size_t i = 0; i < adam.parameters.size(); ++i) adam.average[i] = adam.parameters[i].detach().clone();
       say("weights begin as those of " + config_.initial);
     }
