@@ -32,14 +32,20 @@ void print(const VerifyReport& report) {
 }  // namespace
 
 void add_generate_options(CLI::App& app, GenerateChoice& choice) {
-  app.add_option("--set", choice.set, "scenes")
-      ->capture_default_str()
-      ->check(CLI::IsMember({"draping", "hitting", "sheet", "disk", "skirt", "tshirt", "pants"}));
+  CLI::Option* set = app.add_option("--set", choice.set, "built-in scenes");
+  set->capture_default_str()->check(CLI::IsMember({"draping", "hitting", "sheet", "disk", "skirt", "tshirt", "pants"}));
   app.add_option("--scale", choice.scale,
                  "frames a sequence; small: 150 or 60, full: the papers' 400 (draping), 1,000 (hitting) or 200 (sheet, "
                  "disk), whole motions (skirt, tshirt, pants)")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
+  CLI::Option* scenes =
+      app.add_option("--scene", choice.scenes, "variations of one's own scene files instead of a set");
+  scenes->excludes(set);
+  app.add_option("--sequences", choice.sequences,
+                 "with --scene: variations (default: 12), besides the scenes themselves")
+      ->check(positive_number())
+      ->needs(scenes);
   app.add_option("--fine", choice.fine,
                  "the fine cloth follows the coarse one, by averages (default) or by the paper's springs, or goes its "
                  "own way (sheet, disk: always; tshirt, pants: the default)")
@@ -83,21 +89,45 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
   app.add_flag("--deflate,!--no-deflate", choice.deflate, "compress finished sequences (default: yes)");
 }
 
-GenerateOptions generate_options(const GenerateChoice& choice, const std::string& git_revision) {
+namespace {
+
+/// What a scene says itself, or what sets alone have.
+void require_no_set_options(const GenerateChoice& choice) {
+  const std::pair<const char*, bool> given[] = {{"--garment", !choice.garment.empty()},
+                                                {"--garment-scale", choice.garment_scale != 1},
+                                                {"--material", !choice.material.empty()},
+                                                {"--body", !choice.body.empty()},
+                                                {"--motions", !choice.motions.empty()},
+                                                {"--train", choice.train >= 0},
+                                                {"--test", choice.test >= 0},
+                                                {"--extra", choice.extra > 0},
+                                                {"--scale", choice.scale != GenerateChoice().scale}};
+  for (const auto& [name, is_given] : given) {
+    if (is_given) throw_invalid_argument(std::string(name) + " is for sets, not for --scene");
+  }
+}
+
+GenerateOptions own_scenes_options(const GenerateChoice& choice) {
+  require_no_set_options(choice);
+  GenerateOptions options;
+  options.scenes.set = kOwnScenes;
+  options.scenes.own_scenes.assign(choice.scenes.begin(), choice.scenes.end());
+  if (choice.sequences > 0) options.scenes.sequences = choice.sequences;
+  options.scenes.frames = choice.frames;  // 0: the scene's
+  options.scenes.tracked = choice.fine != "free";
+  return options;
+}
+
+GenerateOptions set_options(const GenerateChoice& choice) {
   const SetSize size = set_size(choice.set, choice.scale == "full");
   const SetDefaults defaults = set_defaults(choice.set);
   GenerateOptions options;
-  options.folder = choice.folder;
   options.scenes.set = choice.set;
   options.scenes.train = choice.train >= 0 ? choice.train : size.train;
   options.scenes.test = choice.test >= 0 ? choice.test : size.test;
   options.scenes.extra = choice.extra;
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
-  options.scenes.rounds = choice.rounds;
-  options.scenes.seed = choice.seed;
   options.scenes.tracked = choice.fine.empty() ? defaults.tracked : choice.fine != "free";
-  options.scenes.springs = choice.fine == "springs";
-  options.scenes.frequency = choice.frequency;
   options.scenes.garment = choice.garment;
   if (choice.garment.empty()) options.scenes.garment = shipped_file(defaults.garment);
   options.scenes.garment_scale = choice.garment_scale;
@@ -111,6 +141,18 @@ GenerateOptions generate_options(const GenerateChoice& choice, const std::string
   } else if (!choice.body.empty() || !choice.motions.empty()) {
     throw_invalid_argument("--body and --motions are for the sets skirt, tshirt and pants");
   }
+  return options;
+}
+
+}  // namespace
+
+GenerateOptions generate_options(const GenerateChoice& choice, const std::string& git_revision) {
+  GenerateOptions options = choice.scenes.empty() ? set_options(choice) : own_scenes_options(choice);
+  options.folder = choice.folder;
+  options.scenes.rounds = choice.rounds;
+  options.scenes.seed = choice.seed;
+  options.scenes.springs = choice.fine == "springs";
+  options.scenes.frequency = choice.frequency;
   options.workers = choice.workers;
   options.deflate = choice.deflate;
   options.git_revision = git_revision;

@@ -17,6 +17,8 @@ struct GenerateChoice {
   std::string garment, material;     ///< empty: the set's own, its fabric
   std::string body;                  ///< empty: the young woman
   std::vector<std::string> motions;  ///< empty: all that are shipped
+  std::vector<std::string> scenes;   ///< scene files, instead of the set
+  int sequences = 0;                 ///< of scenes; 0: 12
   double garment_scale = 1;
   double frequency = 0;
   int frames = 0, rounds = 0, train = -1, test = -1, extra = 0, workers = 0;

@@ -26,8 +26,11 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   master.seed = options.scenes.seed;
   master.tracked = plans.front().tracked;
   master.git_revision = options.git_revision;
-  std::ifstream material(options.scenes.material, std::ios::binary);
-  master.material.assign(std::istreambuf_iterator<char>(material), {});
+  master.material = plans.front().material_json;
+  if (!options.scenes.material.empty()) {
+    std::ifstream material(options.scenes.material, std::ios::binary);
+    master.material.assign(std::istreambuf_iterator<char>(material), {});
+  }
   Subdivision subdivision = subdivide(scene.garment, scene.subdivision_rounds, scene.subdivision_rule);
   master.topology.coarse = scene.garment;
   master.topology.fine = std::move(subdivision.fine);

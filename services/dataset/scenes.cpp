@@ -8,6 +8,7 @@
 #include "services/dataset/flat_sets.hpp"
 #include "services/dataset/placement.hpp"
 #include "services/dataset/random.hpp"
+#include "services/dataset/scene_set.hpp"
 
 namespace pleat::dataset {
 namespace {
@@ -145,6 +146,8 @@ SetDefaults set_defaults(const std::string& set) {
 }
 
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes) {
+  std::vector<std::string> unasked;
+  if (options.set == kOwnScenes) return plan_own_scenes(options, notes != nullptr ? *notes : unasked);
   if (std::max({options.train, options.test, options.extra}) > kMostSequences) {
     throw_invalid_argument("data set: at most " + std::to_string(kMostSequences) + " sequences of a kind");
   }
@@ -160,7 +163,6 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     throw_invalid_argument("data set '" + options.set +
                            "' is unknown; there are draping, hitting, sheet, disk, skirt, tshirt and pants");
   }
-  std::vector<std::string> unasked;
   const Topology cloth = read_garment(options.garment, notes != nullptr ? *notes : unasked, options.garment_scale);
   require_rest_lengths(cloth, options.garment.string());
   const simulation::Material material = simulation::read_material(options.material);

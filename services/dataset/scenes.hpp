@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -19,14 +20,20 @@ struct BodyMotion {
   bool mirrored = false;
 };
 
+/// Of each obstacle of a scene the samples of its animation, or none.
+using SceneSamples = std::vector<std::vector<Positions>>;
+
 /// A sequence to be: its scene, and the split that it belongs to.
 struct SequencePlan {
   std::string name;
   std::string split;  ///< "train" or "test"
   simulation::Scene scene;
   std::optional<BodyMotion> body;  ///< the scene's only obstacle, which has no shape before put_body (dressed_sets.hpp)
+  /// Of one's own scenes: what the scene's animations have besides their first samples. Shared by a scene's variations.
+  std::shared_ptr<const SceneSamples> samples;
   bool tracked = true;
-  std::string scene_json;  ///< the same as pleat.v1.Scene in protobuf's JSON form
+  std::string material_json;  ///< ARCSim-format text, of one's own scenes; empty: SceneOptions::material, or none
+  std::string scene_json;     ///< the same as pleat.v1.Scene in protobuf's JSON form
 };
 
 /// How large a set is unless told otherwise.
@@ -53,8 +60,11 @@ struct SetDefaults {
 };
 SetDefaults set_defaults(const std::string& set);
 
+/// The set of the user's own scenes.
+inline constexpr const char* kOwnScenes = "scenes";
+
 struct SceneOptions {
-  std::string set = "draping";  ///< draping, hitting, sheet, disk, skirt, tshirt or pants
+  std::string set = "draping";  ///< draping, hitting, sheet, disk, skirt, tshirt, pants, or scenes: own_scenes
   int train = 10;               ///< sequences for training
   int test = 3;                 ///< sequences for testing
   int extra = 0;                ///< further sequences for training, behind the others, which stay as they are
@@ -69,19 +79,22 @@ struct SceneOptions {
   double garment_scale = 1;        ///< metres per unit of the file
   std::filesystem::path material;  ///< ARCSim-format JSON
   std::filesystem::path body;      ///< dressed sets: a rigged character that wears the garment at rest
-  std::vector<std::filesystem::path> motions;  ///< dressed sets: BVH and AMC files, and folders of them
+  std::vector<std::filesystem::path> motions;     ///< dressed sets: BVH and AMC files, and folders of them
+  std::vector<std::filesystem::path> own_scenes;  ///< set "scenes": scene files, which say all but what is below
+  int sequences = 12;                             ///< set "scenes": variations
 };
 
 /// DRAPING: one vertex of the cloth's upper edge is held; the cloth starts tilted by a random rotation, falls and
 /// swings. No two sequences hold the same vertex; further ones hold the others, then those of the training split again.
 /// HITTING: two corners of the upper edge are held, and a sphere swings through the hanging cloth; one of its five
 /// sizes and three of its eight places are in the test split only, in turn. SHEET and DISK: flat_sets.hpp. SKIRT,
-/// TSHIRT and PANTS: dressed_sets.hpp; they may have fewer sequences than was asked for. Deterministic for a seed.
-/// Throws kInvalidArgument (unknown set, counts), and what reading the files throws. `notes`, if given, gets a line for
-/// what was changed in the garment or is unusual about it (read_garment), and for what was left out.
+/// TSHIRT and PANTS: dressed_sets.hpp; one's own scenes: scene_set.hpp. Dressed sets may have fewer sequences than was
+/// asked for. Deterministic for a seed. Throws kInvalidArgument (unknown set, counts), and what reading the files
+/// throws. `notes`, if given, gets a line for what was changed in the garment or is unusual about it (read_garment),
+/// and for what was left out.
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes = nullptr);
 
-/// The scene as a file beside deploy/scenes/*.json would have it. Only what plan_sequences sets.
+/// The scene of a built-in set as a file beside deploy/scenes/*.json would have it. Only what plan_sequences sets.
 std::string scene_to_json(const SequencePlan& plan, const std::filesystem::path& garment,
                           const std::filesystem::path& material);
 

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstring>
 #include <fstream>
 #include <iterator>
@@ -98,6 +99,15 @@ void restore_checkpoint(const fs::path& path, std::uint64_t frames_complete, con
   simulation = simulation::Simulation(plan.scene, mode_of(plan));
 }
 
+/// With all that its obstacles need to move.
+SequencePlan complete(SequencePlan plan) {
+  if (plan.body) put_body(plan.scene, *plan.body);
+  for (std::size_t o = 0; plan.samples && o < plan.samples->size(); ++o) {
+    plan.scene.obstacles[o].animation.samples = (*plan.samples)[o];
+  }
+  return plan;
+}
+
 }  // namespace
 
 fs::path sequence_file(const fs::path& folder, const std::string& name) {
@@ -152,10 +162,23 @@ void drop_sequence(const fs::path& folder, const SequencePlan& plan, const std::
   fs::remove(checkpoint_file(folder, plan.name), error);
 }
 
+double seconds_per_frame(const SequencePlan& planned, int frames, double seconds) {
+  using Clock = std::chrono::steady_clock;
+  SequencePlan plan = complete(planned);
+  plan.scene.threads = 1;
+  simulation::Simulation simulation(plan.scene, mode_of(plan));
+  const auto start = Clock::now();
+  const auto elapsed = [&] { return std::chrono::duration<double>(Clock::now() - start).count(); };
+  int made = 0;
+  // Frame 0 is the initial state and costs nothing.
+  const int last = std::min(frames, plan.scene.frames - 1);
+  for (simulation.next_frame(); made < last && (made == 0 || elapsed() < seconds); ++made) simulation.next_frame();
+  return elapsed() / std::max(1, made);
+}
+
 SequenceReport make_sequence(const fs::path& folder, const SequencePlan& planned, bool deflate,
                              const std::function<void(std::uint64_t)>& on_frame, const SequenceControl& control) {
-  SequencePlan plan = planned;
-  if (plan.body) put_body(plan.scene, *plan.body);
+  const SequencePlan plan = complete(planned);
   simulation::Simulation simulation(plan.scene, mode_of(plan));
   const SequenceOptions options = options_of(plan, simulation, deflate);
   std::optional<SequenceWriter> writer(std::in_place, folder, options);

@@ -50,6 +50,10 @@ std::vector<std::pair<std::string, std::string>> dropped_sequences(const std::fi
 /// Leaves word that the sequence is dropped, in FOLDER/sequences/NAME.dropped, and removes what there is of it.
 void drop_sequence(const std::filesystem::path& folder, const SequencePlan& plan, const std::string& reason);
 
+/// Seconds that a frame of the sequence takes on one thread, coarse and fine: of its first `frames`, or of as many as
+/// fit into `seconds`. Throws what Simulation throws.
+double seconds_per_frame(const SequencePlan& plan, int frames, double seconds);
+
 /// Simulates the coarse and the tracked fine cloth and records every frame. A check-point beside the file every 20
 /// frames lets a killed process continue with the same bits. `on_frame` gets the number of complete frames. A dressed
 /// sequence that WornJudge finds fault with is dropped.

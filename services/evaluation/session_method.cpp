@@ -20,7 +20,8 @@ void add_scene(const MethodInput& input, client::EnhanceOptions& options) {
       const auto vertices = handle.at("vertices").get<std::vector<std::uint32_t>>();
       options.held.insert(options.held.end(), vertices.begin(), vertices.end());
     }
-    if (scene.contains("wind")) options.wind_m_s = scene["wind"].at("velocity").get<std::array<double, 3>>();
+    const auto wind = scene.value("wind", nlohmann::json::object());
+    if (wind.contains("velocity")) options.wind_m_s = wind["velocity"].get<std::array<double, 3>>();
   } catch (const nlohmann::json::exception&) {
     throw Error(ErrorCode::kDataLoss, input.sequence + ": its scene is unreadable");
   }
