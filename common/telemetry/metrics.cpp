@@ -35,6 +35,10 @@ struct Metrics::State {
         sessions(prometheus::BuildGauge().Name("pleat_sessions").Help("Open streams").Register(*registry)),
         inflight(
             prometheus::BuildGauge().Name("pleat_inflight_frames").Help("Frames being processed").Register(*registry)),
+        windows(prometheus::BuildGauge()
+                    .Name("pleat_window_frames")
+                    .Help("Frames that may be in flight")
+                    .Register(*registry)),
         queues(
             prometheus::BuildGauge().Name("pleat_queue_depth").Help("Frames or jobs that wait").Register(*registry)) {
     sessions.Add({{"service", service}});
@@ -47,6 +51,7 @@ struct Metrics::State {
   prometheus::Family<prometheus::Counter>& frames;
   prometheus::Family<prometheus::Gauge>& sessions;
   prometheus::Family<prometheus::Gauge>& inflight;
+  prometheus::Family<prometheus::Gauge>& windows;
   prometheus::Family<prometheus::Gauge>& queues;
   std::unique_ptr<PageServer> server;
 };
@@ -75,6 +80,10 @@ int Metrics::sessions() const { return state_->open_sessions; }
 
 void Metrics::add_inflight(const std::string& stage, int delta) {
   state_->inflight.Add({{"service", state_->service}, {"stage", stage}}).Increment(delta);
+}
+
+void Metrics::add_window(const std::string& stage, int delta) {
+  state_->windows.Add({{"service", state_->service}, {"stage", stage}}).Increment(delta);
 }
 
 void Metrics::set_queue_depth(const std::string& edge, std::size_t depth) {

@@ -13,6 +13,7 @@ namespace pleat::telemetry {
 ///   pleat_frames_total{service,stage,result}     counter; result is ok or error
 ///   pleat_sessions{service}                      gauge of open streams
 ///   pleat_inflight_frames{service,stage}         gauge
+///   pleat_window_frames{service,stage}           gauge: how many may be in flight, where there is a window
 ///   pleat_queue_depth{service,edge}              gauge: frames or jobs that wait
 ///   pleat_NAME_total{service}                    by count(), for what only one service has
 class Metrics {
@@ -30,6 +31,7 @@ class Metrics {
   void add_sessions(int delta);
   int sessions() const;
   void add_inflight(const std::string& stage, int delta);
+  void add_window(const std::string& stage, int delta);
   void set_queue_depth(const std::string& edge, std::size_t depth);
   void count(const std::string& name, double amount = 1);
 

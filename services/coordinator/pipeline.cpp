@@ -195,8 +195,7 @@ RemoteStage<FoldRpc>::Options fold_options(const ServiceAddresses& addresses, co
                                            const PipelineSession& session) {
   RemoteStage<FoldRpc>::Options options{
       .stage = "fold", .service = "fold", .addresses = addresses.fold, .open = {}, .link = link};
-  const auto turn = static_cast<std::ptrdiff_t>(session.fold_turn % options.addresses.size());
-  std::rotate(options.addresses.begin(), options.addresses.begin() + turn, options.addresses.end());
+  options.turn = session.fold_turn;
   *options.open.mutable_open() = session.fold;
   set_meshes(session, options.open.mutable_open());
   options.memory = session.fold_memory;

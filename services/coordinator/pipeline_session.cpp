@@ -28,7 +28,8 @@ Response ask(const std::string& service, const std::vector<std::string>& address
   Outage outage(link.give_up);
   Backoff backoff(std::chrono::milliseconds(50), std::chrono::milliseconds(400));
   for (std::size_t attempt = 0;; ++attempt) {
-    const std::string& address = addresses[attempt % addresses.size()];
+    const std::vector<std::string> replicas = replicas_behind(link.replicas, addresses);
+    const std::string& address = replicas[attempt % replicas.size()];
     Response response;
     grpc::ClientContext context;
     context.set_deadline(std::chrono::system_clock::now() + std::min(link.open_timeout, link.give_up));

@@ -24,6 +24,7 @@
 #include "common/telemetry/metrics.hpp"
 #include "services/coordinator/backoff.hpp"
 #include "services/coordinator/pipeline_frame.hpp"
+#include "services/coordinator/replica_directory.hpp"
 #include "services/coordinator/stage_scheduler.hpp"
 
 namespace pleat::coordinator {
@@ -35,6 +36,7 @@ struct LinkOptions {
   std::chrono::milliseconds open_timeout{60'000};    ///< for `opened`; maps and factorisations are made then
   std::chrono::milliseconds answer_timeout{60'000};  ///< for one frame; afterwards the stream counts as broken
   telemetry::Metrics* metrics = nullptr;             ///< may be null
+  std::shared_ptr<ReplicaDirectory> replicas = {};   ///< behind names; null: addresses are what they are
 };
 
 using rpc::may_pass;
@@ -99,6 +101,8 @@ struct MemoryOf<Rpc> {
 };
 }  // namespace detail
 
+/// One stream for each replica behind the addresses. Where these are names, replicas that come get a stream at the next
+/// frame, and those that go no more frames; their stream ends when they have answered.
 /// Rpc: Service, Request, Response, start(stub, context), take_back(PipelineFrame&) of what the request was lent, once
 /// nobody sends it any more, and absorb(PipelineFrame&, Response::frame*).
 template <typename Rpc>
@@ -119,6 +123,7 @@ class RemoteStage final : public Stage {
     std::uint64_t first_sequence = 0;
     LinkOptions link;
     MemoryPtr memory = {};  ///< of the frame before the first, if that is known; of a sequential stage
+    std::size_t turn = 0;   ///< which replica a sequential stage begins with
   };
   struct Callbacks {
     std::function<void(const Opened&)> opened;  ///< every time a replica opened; an Error fails the session, with the
@@ -133,9 +138,13 @@ class RemoteStage final : public Stage {
         callbacks_(std::move(callbacks)),
         outage_(options_.link.give_up),
         memory_(options_.memory),
-        scheduler_({.replicas = replica_count(), .window = options_.window}, options_.first_sequence,
-                   callbacks_.deliver, callbacks_.drained),
-        links_(replica_count()) {}
+        turn_(options_.turn),
+        scheduler_({.replicas = slot_count(), .window = options_.window}, options_.first_sequence, callbacks_.deliver,
+                   callbacks_.drained),
+        links_(slot_count()),
+        slots_(slot_count()) {
+    for (std::size_t r = 0; r < slots_.size(); ++r) scheduler_.use(r, false);
+  }
 
   ~RemoteStage() override {
     stop();
@@ -143,7 +152,12 @@ class RemoteStage final : public Stage {
   }
 
   void start() override {
-    for (std::size_t r = 0; r < replica_count(); ++r) replicas_.emplace_back([this, r] { run(r); });
+    if constexpr (Sequential<Rpc>) {
+      const std::lock_guard lock(mutex_);
+      occupy(0, "");  // it has its address when it connects
+    } else {
+      refresh();
+    }
   }
 
   void join() override {
@@ -155,12 +169,15 @@ class RemoteStage final : public Stage {
         if (links_[r].stream != nullptr && !scheduler_.live(r)) links_[r].stream->cancel();
       }
     }
-    for (std::thread& replica : replicas_) replica.join();
-    replicas_.clear();
+    // Nobody begins another thread now.
+    for (Slot& slot : slots_) {
+      if (slot.thread.joinable()) slot.thread.join();
+    }
   }
 
   bool push(std::unique_ptr<PipelineFrame> frame) override {
     if (frame->error) return scheduler_.pass(std::move(frame));
+    if constexpr (!Sequential<Rpc>) refresh();
     typename Scheduler::Direct direct;
     if (!scheduler_.push(std::move(frame), &direct)) return false;
     if (direct.work) send_direct(std::move(direct));
@@ -184,19 +201,106 @@ class RemoteStage final : public Stage {
     Stream* stream = nullptr;
     bool begun = false;            ///< a request was sent
     std::optional<Error> failure;  ///< of who sent in the sender's place
+    std::atomic<int> in_flight{0};
   };
 
-  std::size_t replica_count() const { return Sequential<Rpc> ? 1 : options_.addresses.size(); }
-  /// A sequential stage changes its address between streams only.
-  const std::string& address(std::size_t r) const {
-    return options_.addresses[(r + turn_) % options_.addresses.size()];
+  /// A place for a replica, and the thread that serves it.
+  struct Slot {
+    std::string address;  ///< constant while a stream is open
+    bool used = false, leaving = false;
+    std::thread thread;
+  };
+  /// Where names may get more replicas; more than that get no stream.
+  static constexpr std::size_t kMaxReplicas = 64;
+
+  /// In the metrics: what a stream may have in flight, and has.
+  class Window {
+   public:
+    Window(const Options& options, Link& link) : options_(options), link_(link) {
+      add(static_cast<int>(options.window));
+    }
+    ~Window() {
+      add(-static_cast<int>(options_.window));
+      const int left = link_.in_flight.exchange(0);
+      if (options_.link.metrics != nullptr) options_.link.metrics->add_inflight(options_.stage, -left);
+    }
+    Window(const Window&) = delete;
+    Window& operator=(const Window&) = delete;
+
+   private:
+    void add(int frames) {
+      if (options_.link.metrics != nullptr) options_.link.metrics->add_window(options_.stage, frames);
+    }
+    const Options& options_;
+    Link& link_;
+  };
+
+  std::size_t slot_count() const {
+    if (Sequential<Rpc>) return 1;
+    return options_.link.replicas ? kMaxReplicas : options_.addresses.size();
   }
+  std::vector<std::string> replicas() const { return replicas_behind(options_.link.replicas, options_.addresses); }
+  const std::string& address(std::size_t r) const { return slots_[r].address; }
   std::string peer(std::size_t r) const { return options_.service + " at " + address(r); }
+
+  /// With the mutex.
+  void occupy(std::size_t r, const std::string& address) {
+    Slot& slot = slots_[r];
+    if (slot.thread.joinable()) slot.thread.join();  // it has left its slot, which is the last thing it does
+    slot.address = address;
+    slot.used = true;
+    slot.leaving = false;
+    scheduler_.use(r, true);
+    slot.thread = std::thread([this, r] { run(r); });
+  }
+
+  /// A slot for each replica that has none, and none for those that are gone. Cheap where nothing changed.
+  void refresh() {
+    const std::uint64_t version = options_.link.replicas ? options_.link.replicas->version() : 1;
+    if (version == seen_version_) return;
+    const std::vector<std::string> wanted = replicas();
+    const std::lock_guard lock(mutex_);
+    if (joining_ || scheduler_.finished()) return;
+    // The first look may have made a new version itself.
+    seen_version_ = version;
+    for (std::size_t r = 0; r < slots_.size(); ++r) {
+      Slot& slot = slots_[r];
+      if (!slot.used || slot.leaving || std::count(wanted.begin(), wanted.end(), slot.address) > 0) continue;
+      slot.leaving = true;
+      scheduler_.leave(r);
+    }
+    for (const std::string& address : wanted) {
+      const auto serves = [&](const Slot& slot) { return slot.used && !slot.leaving && slot.address == address; };
+      // An address that is configured twice gets two streams.
+      if (std::count_if(slots_.begin(), slots_.end(), serves) >= std::count(wanted.begin(), wanted.end(), address))
+        continue;
+      const auto free = std::find_if(slots_.begin(), slots_.end(), [](const Slot& slot) { return !slot.used; });
+      if (free != slots_.end()) occupy(static_cast<std::size_t>(free - slots_.begin()), address);
+    }
+  }
+
+  bool no_more_comes(std::size_t r) {
+    const std::lock_guard lock(mutex_);
+    return scheduler_.drained() || slots_[r].leaving;
+  }
+
+  /// True, and the slot is free, if its replica is gone.
+  bool left(std::size_t r) {
+    const std::lock_guard lock(mutex_);
+    if (!slots_[r].leaving) return false;
+    scheduler_.use(r, false);
+    slots_[r].used = false;
+    return true;
+  }
 
   void run(std::size_t r) {
     Backoff backoff;
     while (!scheduler_.finished()) {
       bool answered = false;
+      if constexpr (Sequential<Rpc>) {
+        const std::vector<std::string> known = replicas();
+        slots_[r].address = known[turn_ % known.size()];
+      }
       const auto cause = session(r, answered);
       if (!cause || scheduler_.finished()) return;
       if (!may_pass(cause->code())) {
@@ -210,6 +314,10 @@ class RemoteStage final : public Stage {
         frame->fail(static_cast<int>(grpc::StatusCode::INTERNAL),
                     "the stage broke off again and again at this frame: " + std::string(cause->what()));
         scheduler_.complete(std::move(frame));
+      }
+      if constexpr (!Sequential<Rpc>) {
+        refresh();
+        if (left(r)) return;
       }
       if (scheduler_.live() == 0 && outage_.too_long()) {
         callbacks_.failed(outage_.gave_up(*cause));
@@ -237,6 +345,7 @@ class RemoteStage final : public Stage {
       const auto since = Clock::now();
       if (!accept(r, opened)) return std::nullopt;
       links_[r].begun = false;
+      const Window window(options_, links_[r]);
       scheduler_.connected(r);
       auto cause = exchange(r, stream, answered);
       // A stream that served, or that idled for a while, was no failed attempt: the outage begins now.
@@ -266,6 +375,8 @@ class RemoteStage final : public Stage {
       if (!link.begun && memory_) work = Rpc::resumed(std::move(work), *memory_);
     }
     link.begun = true;
+    ++link.in_flight;
+    if (options_.link.metrics != nullptr) options_.link.metrics->add_inflight(options_.stage, 1);
     link.stream->push(static_cast<const Request&>(*work));
   }
 
@@ -311,14 +422,14 @@ class RemoteStage final : public Stage {
     });
     try {
       while (auto work = scheduler_.take(r)) send(r, std::move(work));
-      if (scheduler_.drained()) stream.close();
+      if (no_more_comes(r)) stream.close();
     } catch (const Error& e) {
       write_failure = e;
     }
     {
       // At the end the service gets a moment to close its side in good order.
       std::unique_lock lock(mutex);
-      if (!ended.wait_for(lock, std::chrono::seconds(scheduler_.drained() ? 1 : 0), [&] { return !reading; })) {
+      if (!ended.wait_for(lock, std::chrono::seconds(no_more_comes(r) ? 1 : 0), [&] { return !reading; })) {
         stream.cancel();
       }
     }
@@ -355,7 +466,9 @@ class RemoteStage final : public Stage {
       } else {
         frame->fail(response.error().code(), options_.stage + ": " + response.error().message());
       }
+      --links_[r].in_flight;
       if (options_.link.metrics != nullptr) {
+        options_.link.metrics->add_inflight(options_.stage, -1);
         options_.link.metrics->frame_done(options_.stage, round_trip.count(), !frame->error.has_value());
       }
       scheduler_.complete(std::move(frame));
@@ -387,12 +500,13 @@ class RemoteStage final : public Stage {
   Outage outage_;
   /// Of the last frame that was answered; read before the first request of a stream is sent, written after that.
   MemoryPtr memory_;
-  std::size_t turn_ = 0;  ///< of a sequential stage, through the addresses
+  std::size_t turn_;  ///< of a sequential stage, through the replicas
   Scheduler scheduler_;
   std::mutex mutex_;
   bool joining_ = false;
   std::vector<Link> links_;
-  std::vector<std::thread> replicas_;
+  std::vector<Slot> slots_;
+  std::atomic<std::uint64_t> seen_version_{0};  ///< of the directory
 };
 
 }  // namespace pleat::coordinator

@@ -33,7 +33,13 @@ std::chrono::milliseconds milliseconds_of(double seconds, const std::string& opt
 
 LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metrics) {
   LinkOptions link;
-  link.connect = [tls = options.service_tls](const std::string& address) { return rpc::create_channel(address, tls); };
+  link.replicas = std::make_shared<ReplicaDirectory>();
+  link.connect = [tls = options.service_tls, replicas = link.replicas](const std::string& address) {
+    rpc::TlsOptions own = tls;
+    // Replicas are reached by their numbers; their certificates have the name.
+    if (own.server_name.empty()) own.server_name = replicas->name_of(address);
+    return rpc::create_channel(address, own);
+  };
   link.give_up = milliseconds_of(options.give_up_s, "give-up-s");
   link.open_timeout = link.answer_timeout = milliseconds_of(options.answer_timeout_s, "answer-timeout-s");
   link.metrics = metrics;

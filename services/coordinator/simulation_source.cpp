@@ -9,7 +9,10 @@ struct SimulationSource::Connection {
   std::unique_ptr<Stream> stream;
 };
 
-SimulationSource::SimulationSource(Options options) : options_(std::move(options)), outage_(options_.link.give_up) {}
+SimulationSource::SimulationSource(Options options)
+    : options_(std::move(options)),
+      outage_(options_.link.give_up),
+      turn_(options_.link.replicas ? options_.link.replicas->turn() : 0) {}
 
 SimulationSource::~SimulationSource() = default;
 
@@ -52,11 +55,13 @@ void SimulationSource::cancel() {
   changed_.notify_all();
 }
 
-std::string SimulationSource::peer() const { return "simulation at " + options_.addresses[address_]; }
+std::string SimulationSource::peer() const { return "simulation at " + address_; }
 
 v1::SimulateOpened SimulationSource::connect() {
+  const std::vector<std::string> replicas = replicas_behind(options_.link.replicas, options_.addresses);
+  address_ = replicas[turn_ % replicas.size()];
   auto fresh = std::make_unique<Connection>();
-  fresh->stub = v1::Simulation::NewStub(options_.link.connect(options_.addresses[address_]));
+  fresh->stub = v1::Simulation::NewStub(options_.link.connect(address_));
   fresh->stream =
       std::make_unique<Stream>([&](auto* context, auto* call) { fresh->stub->async()->Simulate(context, call); },
                                rpc::FrameStreamOptions{.peer = peer(),
@@ -96,7 +101,7 @@ void SimulationSource::retry_after(const Error& cause) {
   if (!may_pass(cause.code())) throw cause;
   if (outage_.too_long()) throw outage_.gave_up(cause);
   if (options_.link.metrics != nullptr) options_.link.metrics->count("reconnects");
-  address_ = (address_ + 1) % options_.addresses.size();
+  ++turn_;
   std::unique_lock lock(mutex_);
   changed_.wait_for(lock, backoff_.next(), [this] { return cancelled_; });
 }

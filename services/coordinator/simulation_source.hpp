@@ -21,7 +21,7 @@ using Animations = std::shared_ptr<const std::vector<v1::AnimationPart>>;
 class SimulationSource {
  public:
   struct Options {
-    std::vector<std::string> addresses;  ///< the next one is tried when one fails
+    std::vector<std::string> addresses;  ///< the next one is tried when one fails; with a directory any comes first
     v1::Scene scene;                     ///< with its `frames`
     Animations animations;               ///< what the scene announces (take_animations); null: nothing
     v1::SimulateOpen::Fine fine = v1::SimulateOpen::FINE_NONE;
@@ -58,7 +58,8 @@ class SimulationSource {
   Options options_;
   Outage outage_;
   Backoff backoff_;
-  std::size_t address_ = 0;
+  std::size_t turn_;     ///< through the replicas
+  std::string address_;  ///< of the one that is asked
   std::uint64_t next_index_ = 0;
   std::unique_ptr<Connection> connection_;
   std::mutex mutex_;  ///< guards the pointer above and the flag

@@ -2,6 +2,7 @@
 // a stage that knows no network.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -23,9 +24,10 @@ struct StageLimits {
 
 /// Item needs `std::uint64_t sequence` and `std::shared_ptr<const Work> work` (what is sent; constant while in flight).
 ///
-/// Items enter in sequence, without gaps, and leave in sequence. At most replicas * window are inside, so that memory
-/// is bounded and a slow consumer slows the producer. Thread-safe; each replica has one sender and one receiver thread.
-/// The sender is woken up only for what waits: who pushes an item that a replica can take at once sends it itself.
+/// Items enter in sequence, without gaps, and leave in sequence. At most replicas in use * window are inside, so that
+/// memory is bounded and a slow consumer slows the producer. Thread-safe; each replica has one sender and one receiver
+/// thread. The sender is woken up only for what waits: who pushes an item that a replica can take at once sends it
+/// itself.
 template <typename Item>
 class StageScheduler {
  public:
@@ -41,7 +43,8 @@ class StageScheduler {
         next_(first_sequence),
         deliver_(std::move(deliver)),
         on_drained_(std::move(drained)),
-        replicas_(limits.replicas) {}
+        replicas_(limits.replicas),
+        used_(limits.replicas) {}
 
   /// Work for its caller to send, followed by sent(replica). Without work: nothing to do.
   struct Direct {
@@ -76,7 +79,7 @@ class StageScheduler {
     {
       const std::lock_guard lock(mutex_);
       replicas_[replica].other_sends = false;
-      awaited = !pending_.empty() || !replicas_[replica].live;
+      awaited = !pending_.empty() || !replicas_[replica].live || replicas_[replica].leaving;
     }
     if (awaited) changed_.notify_all();
   }
@@ -139,6 +142,28 @@ class StageScheduler {
     changed_.notify_all();
   }
 
+  /// Whether the replica is one: all are at first. Room is what those in use have; one that is not must not be live.
+  void use(std::size_t replica, bool used) {
+    {
+      const std::lock_guard lock(mutex_);
+      Replica& changed = replicas_[replica];
+      if (changed.used != used) used_ += used ? 1 : -1;
+      changed.used = used;
+      changed.leaving = false;
+    }
+    changed_.notify_all();
+    room_.notify_all();
+  }
+
+  /// The replica gets no more work: take() returns null once what it has is answered.
+  void leave(std::size_t replica) {
+    {
+      const std::lock_guard lock(mutex_);
+      replicas_[replica].leaving = true;
+    }
+    changed_.notify_all();
+  }
+
   /// Its receiver has ended: take() returns. broke_off() follows.
   void disconnected(std::size_t replica) {
     {
@@ -161,14 +186,13 @@ class StageScheduler {
   }
 
   /// The next work for a replica; waits until it has room, is the one with the least in flight, and work is there.
-  /// Null when the stage is finished or the replica is not connected. What was taken before is sent.
+  /// Null when the stage is finished, or the replica is not connected or has left. What was taken before is sent.
   Work take(std::size_t replica) {
     std::unique_lock lock(mutex_);
     Replica& taker = replicas_[replica];
     taker.sender_sends = false;
-    changed_.wait(lock,
-                  [&] { return stopped_ || drained_ || !taker.live || (!pending_.empty() && may_take(replica)); });
-    if (stopped_ || drained_ || !taker.live) return nullptr;
+    changed_.wait(lock, [&] { return ended(taker) || (!pending_.empty() && may_take(replica)); });
+    if (ended(taker)) return nullptr;
     Work work = take_next(replica);
     taker.sender_sends = true;
     if (!pending_.empty()) {
@@ -191,7 +215,7 @@ class StageScheduler {
       round_trip = Clock::now() - found->second.sent;
       item = std::move(found->second.item);
       from.outstanding.erase(found);
-      awaited = !pending_.empty();
+      awaited = !pending_.empty() || from.leaving;
     }
     if (awaited) changed_.notify_all();
     return item;
@@ -253,25 +277,31 @@ class StageScheduler {
   };
   struct Replica {
     bool live = false;
+    bool used = true, leaving = false;
     bool sender_sends = false;  ///< what take() returned
     bool other_sends = false;   ///< what push() returned
     std::map<std::uint64_t, Entry> outstanding;
   };
 
   bool wait_for_room(std::unique_lock<std::mutex>& lock) {
-    room_.wait(lock, [this] { return stopped_ || inside_ < limits_.replicas * limits_.window; });
+    room_.wait(lock, [this] { return stopped_ || inside_ < std::max<std::size_t>(1, used_) * limits_.window; });
     if (stopped_) return false;
     ++inside_;
     return true;
   }
 
+  bool ended(const Replica& replica) const {
+    return stopped_ || drained_ || !replica.live ||
+           (replica.leaving && replica.outstanding.empty() && !replica.other_sends);
+  }
+
   /// Whether it has room, nobody sends to it in its sender's place, and it is the one with the least in flight.
   bool may_take(std::size_t replica) const {
-    if (!replicas_[replica].live || replicas_[replica].other_sends) return false;
+    if (!replicas_[replica].live || replicas_[replica].leaving || replicas_[replica].other_sends) return false;
     const std::size_t mine = replicas_[replica].outstanding.size();
     if (mine >= limits_.window) return false;
     for (const Replica& other : replicas_) {
-      if (other.live && other.outstanding.size() < mine) return false;
+      if (other.live && !other.leaving && other.outstanding.size() < mine) return false;
     }
     return true;
   }
@@ -300,6 +330,7 @@ class StageScheduler {
   const Deliver deliver_;
   const std::function<void()> on_drained_;
   std::vector<Replica> replicas_;
+  std::size_t used_;
   std::map<std::uint64_t, Entry> pending_;
   std::map<std::uint64_t, ItemPtr> ready_;
   std::size_t inside_ = 0;

@@ -492,6 +492,76 @@ TEST_F(PipelineTest, ReplicasShareTheFramesAndTheLossOfOneIsNoLoss) {
   EXPECT_GT(second.frames, 0);
 }
 
+TEST_F(PipelineTest, ReplicasBehindANameComeAndGoWhileFramesFlow) {
+  testing::FakeService& first = fakes_.superres();
+  testing::FakeService& second = fakes_.add_superres();
+  first.faults.delay(2ms);
+  second.faults.delay(2ms);
+  std::mutex mutex;
+  std::vector<std::string> known = {first.address()};
+  const auto set = [&](std::vector<std::string> addresses) {
+    const std::lock_guard lock(mutex);
+    known = std::move(addresses);
+  };
+  LinkOptions link = fast_link();
+  link.replicas = std::make_shared<ReplicaDirectory>(1ms, [&](const std::string&, const std::string&) {
+    const std::lock_guard lock(mutex);
+    return known;
+  });
+  addresses_.superres = {"dns:///superres:50053"};
+  std::uint64_t count = 0;
+  {
+    const auto pipeline = make({}, link);
+    pipeline->wait_open();
+    for (; count < 20; ++count) ASSERT_TRUE(pipeline->push(frame(count)));
+    EXPECT_EQ(second.frames, 0) << "nobody knows it";
+    set({first.address(), second.address()});
+    for (; second.frames == 0 && count < 10'000; ++count) ASSERT_TRUE(pipeline->push(frame(count)));
+    EXPECT_GT(second.frames, 0) << "it came";
+    set({second.address()});
+    for (; first.sessions > 0 && count < 20'000; ++count) ASSERT_TRUE(pipeline->push(frame(count)));
+    EXPECT_EQ(first.sessions, 0) << "it went";
+    const int had = first.frames;
+    for (const std::uint64_t end = count + 20; count < end; ++count) ASSERT_TRUE(pipeline->push(frame(count)));
+    // All of them at once, as when a new version is rolled out.
+    set({first.address()});
+    second.stop();
+    for (const std::uint64_t end = count + 20; count < end; ++count) ASSERT_TRUE(pipeline->push(frame(count)));
+    pipeline->close();
+    pipeline->wait();
+    EXPECT_GT(first.frames, had);
+  }
+  expect_right(count);
+}
+
+TEST_F(PipelineTest, MetricsTellHowFullTheWindowsAre) {
+  telemetry::Metrics metrics("coordinator");
+  LinkOptions link = fast_link();
+  link.metrics = &metrics;
+  link.answer_timeout = 60s;
+  const auto line = [](const std::string& name, int value) {
+    return "pleat_" + name + "{service=\"coordinator\",stage=\"superres\"} " + std::to_string(value) + "\n";
+  };
+  fakes_.superres().faults.at(2, Faults::Kind::kHang);
+  {
+    const auto pipeline = make({}, link);
+    pipeline->wait_open();
+    for (std::uint64_t i = 0; i < 4; ++i) ASSERT_TRUE(pipeline->push(frame(i)));
+    // Frames 0 and 1 come back, 2 and 3 don't.
+    bool full = false;
+    for (int i = 0; i < 10'000 && !full; ++i) {
+      std::this_thread::sleep_for(1ms);
+      const std::lock_guard lock(mutex_);
+      full = out_.size() == 2 && metrics.text().find(line("inflight_frames", 2)) != std::string::npos;
+    }
+    EXPECT_TRUE(full) << metrics.text();
+    EXPECT_NE(metrics.text().find(line("window_frames", 4)), std::string::npos) << metrics.text();
+    pipeline->fail(Error(ErrorCode::kCancelled, "cancelled"));
+  }
+  EXPECT_NE(metrics.text().find(line("inflight_frames", 0)), std::string::npos) << metrics.text();
+  EXPECT_NE(metrics.text().find(line("window_frames", 0)), std::string::npos) << metrics.text();
+}
+
 TEST_F(PipelineTest, ASlowSinkSlowsTheSource) {
   std::atomic<int> taken{0};
   std::atomic<bool> go{false};

@@ -64,6 +64,44 @@ TEST_F(StageSchedulerTest, DeliversInSequenceWhateverTheOrderOfAnswers) {
   EXPECT_EQ(delivered_.size(), 4U);
 }
 
+TEST_F(StageSchedulerTest, AReplicaThatLeavesAnswersWhatItHasAndGetsNoMore) {
+  make({.replicas = 2, .window = 2});
+  scheduler_->connected(0);
+  for (std::uint64_t i = 0; i < 2; ++i) scheduler_->push(item(i));
+  EXPECT_EQ(*scheduler_->take(0), 0U);
+  scheduler_->leave(0);
+  std::atomic<bool> left{false};
+  std::thread sender([&] {
+    EXPECT_EQ(scheduler_->take(0), nullptr);
+    left = true;
+  });
+  scheduler_->connected(1);
+  EXPECT_EQ(*scheduler_->take(1), 1U) << "though the other one waits for work, too";
+  EXPECT_FALSE(left) << "it has not answered";
+  EXPECT_TRUE(answer(0, 0));
+  sender.join();
+  EXPECT_TRUE(answer(1, 1));
+  EXPECT_EQ(delivered_, (std::vector<std::uint64_t>{0, 1}));
+}
+
+TEST_F(StageSchedulerTest, ThereIsRoomForWhatReplicasInUseMayHave) {
+  make({.replicas = 3, .window = 1});
+  scheduler_->use(1, false);
+  scheduler_->use(2, false);
+  scheduler_->use(2, false);
+  EXPECT_TRUE(scheduler_->push(item(0)));
+  std::atomic<bool> pushed{false};
+  std::thread producer([&] {
+    EXPECT_TRUE(scheduler_->push(item(1)));
+    pushed = true;
+  });
+  EXPECT_FALSE(pushed);
+  EXPECT_EQ(scheduler_->inside(), 1U);
+  scheduler_->use(1, true);
+  producer.join();
+  EXPECT_EQ(scheduler_->inside(), 2U);
+}
+
 TEST_F(StageSchedulerTest, BrokenReplicaGivesItsWorkBackOldestFirst) {
   make({.replicas = 1, .window = 4}, 10);
   scheduler_->connected(0);
