@@ -1,10 +1,10 @@
 // Where the workers of a data set that many machines make keep what is not finished: FOLDER/shards, until it is merged.
 //
-//   shards/plan.json           what the set is to be; the first worker's, and equal to everybody's
-//   shards/leases/NAME.G       who makes sequence NAME (common/base/lease.hpp), G one more for each worker after
-//   another shards/work/NAME.G/        what that worker writes: sequences/NAME.h5.partial, its check-point dataset.h5
-//   the master file, still without normalisation sequences/NAME.h5          a finished sequence, renamed from
-//   work/NAME.G
+// - shards/plan.json: what the set is to be; the first worker's, and equal to everybody's
+// - shards/leases/NAME.G: who makes sequence NAME (common/base/lease.hpp); G is one more for each worker after another
+// - shards/work/NAME.G/: what that worker writes: sequences/NAME.h5.partial, its check-point
+// - dataset.h5: the master file, still without normalisation
+// - sequences/NAME.h5: a finished sequence, renamed from shards/work/NAME.G
 #pragma once
 
 #include <cstdint>
