@@ -15,11 +15,11 @@ int main(int argc, char** argv) {
   bool strict = false;
   app.add_option("config", arguments.config, "JSON file");
   app.add_option("--re-export", arguments.re_export, "OLD.pt: a bundle of an earlier version, written anew to --out");
-  app.add_option("--any-mesh", arguments.any_mesh,
-                 "OLD.pt: a bundle of one mesh, written to --out so that it serves any");
+  app.add_option("--any-mesh", arguments.any_mesh, "OLD.pt: a bundle of one mesh, written to --out to serve any");
   app.add_option("--out", arguments.out, "NEW.pt");
   app.add_option("--garment", arguments.garment,
                  "MESH: the coarse mesh of OLD.pt; with --re-export, to note its rest positions");
+  app.add_option("--initial", arguments.initial, "BUNDLE: begins with its network, whatever CONFIG says of networks");
   app.add_option("--set", arguments.changes, "KEY=VALUE: changes a key, for example losses.normal=0; may be repeated")
       ->allow_extra_args(false);
   app.add_flag("--strict", strict, "a sequence that can't be used is an error, not a warning");

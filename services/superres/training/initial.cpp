@@ -87,6 +87,34 @@ bool begins_as_bundle(const TrainConfig& config) { return !config.initial.empty(
 
 }  // namespace
 
+std::vector<std::string> changes_to_begin_with(const std::string& bundle) {
+  if (!std::filesystem::exists(bundle)) throw_not_found(bundle + ": no such model bundle");
+  if (!is_bundle(bundle)) throw_invalid_argument(bundle + ": no model bundle to begin with");
+  const Metadata m = read_metadata(bundle);
+  const auto* image = std::get_if<conversion::GeometryImageSpec>(&m.representation.kind);
+  if (image == nullptr || !is_registered(m.architecture.kind)) {
+    throw_invalid_argument(bundle + ": can't begin a training, it is no network of Pleat's on geometry images");
+  }
+  json architecture = json::parse(m.architecture.options);
+  architecture["kind"] = m.architecture.kind;
+  constexpr const char* kLayouts[] = {"published", "detail", "positions"};
+  const bool any = m.topology_hash.empty();
+  std::vector<std::string> changes{
+      "initial=" + json(bundle).dump(),
+      "architecture=" + architecture.dump(),
+      "representation=geometry_image",
+      std::string("serves=") + (any ? "any" : "mesh"),
+      std::string("images.layout=") + kLayouts[static_cast<std::size_t>(image->layout)],
+      std::string("images.base=") + (image->base == conversion::DetailBase::kTexels ? "texels" : "vertices"),
+      std::string("images.units=") +
+          (image->units == conversion::DetailUnits::kCoarseEdges ? "coarse_edges" : "metres"),
+      "images.scale=" + std::to_string(image->image.scale),
+      "window=" + std::to_string(m.representation.window),
+      "window_stride=" + std::to_string(m.representation.window_stride)};
+  if (any) changes.insert(changes.end(), {"images.coarse_width=0", "images.coarse_height=0"});
+  return changes;
+}
+
 bool take_initial_ranges(const TrainConfig& config, PairData& data) {
   if (!begins_as_bundle(config)) return false;
   const Metadata bundle = read_initial(config, data);

@@ -2,11 +2,19 @@
 // Inside services/superres only: this header needs LibTorch.
 #pragma once
 
+#include <string>
+#include <vector>
+
 #include "services/superres/networks/network.hpp"
 #include "services/superres/training/config.hpp"
 #include "services/superres/training/pairs.hpp"
 
 namespace pleat::superres {
+
+/// The changes ("KEY=VALUE") that make any configuration one that begins with this bundle: its weights, architecture,
+/// representation and what it serves. Throws kInvalidArgument for a bundle that is no network of ours on geometry
+/// images, kNotFound; else as read_metadata.
+std::vector<std::string> changes_to_begin_with(const std::string& bundle);
 
 /// If config.initial is a bundle in units that mean the same of every mesh ('images.units' = 'coarse_edges'): puts the
 /// ranges that its weights were trained with into `data`, and returns true. Other units belong to a mesh, so the ranges

@@ -15,6 +15,7 @@
 #include "services/superres/bundle/any_mesh.hpp"
 #include "services/superres/bundle/re_export.hpp"
 #include "services/superres/training/followers.hpp"
+#include "services/superres/training/initial.hpp"
 #include "services/superres/training/rendezvous.hpp"
 #include "services/superres/training/trainer.hpp"
 
@@ -60,7 +61,10 @@ void rewrite(const TrainArguments& arguments) {
 }
 
 int train_here(const TrainArguments& arguments) {
-  const TrainConfig config = read_train_config(arguments.config, arguments.changes);
+  std::vector<std::string> changes;
+  if (!arguments.initial.empty()) changes = changes_to_begin_with(arguments.initial);
+  changes.insert(changes.end(), arguments.changes.begin(), arguments.changes.end());
+  const TrainConfig config = read_train_config(arguments.config, changes);
   TrainHooks hooks = hooks_of(arguments);
   const bool distributed = is_distributed(arguments);
   // The first process converts the images; the others find them in files.

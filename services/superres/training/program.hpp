@@ -12,6 +12,7 @@ struct TrainArguments {
   std::string any_mesh;        ///< a bundle of one mesh, written to `out` so that it serves any
   std::string garment;         ///< with these: the file of its coarse mesh
   std::string config;
+  std::string initial;  ///< a bundle that the training begins with, whatever `config` says about the network
   std::vector<std::string> changes;  ///< KEY=VALUE
   int processes = 1;
   int rank = 0;                       ///< of a process that the first one started, or that the caller places

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <fstream>
 
 #include "common/base/error.hpp"
 #include "services/superres/bundle/bundle.hpp"
@@ -111,6 +112,24 @@ TEST_F(Initial, WhatDiffersIsNamedBeforeAnythingIsConverted) {
   EXPECT_THAT(fault([](TrainConfig& o) { o.serves = "mesh", o.images.units = "metres"; }),
               HasSubstr("geometry_image.units is \"UNITS_COARSE_EDGES\", the configuration's \"UNITS_METRES\""));
   EXPECT_THAT(fault([](TrainConfig& o) { o.window = 3; }), HasSubstr("window is 1, the configuration's 3"));
+}
+
+TEST_F(Initial, ABundleSaysWhatTheConfigurationHasToBe) {
+  const std::string bundle = make(config("first"));
+  const fs::path file = temporary_.path() / "own.json";
+  std::ofstream(file) << R"({"name": "own", "dataset": ")" << data_.string() << R"(", "output": "o", "window": 3,
+    "architecture": {"kind": "srresnet"}, "losses": {"kinematic": 0}, "batch": 3})";
+  const TrainConfig c = read_train_config(file.string(), changes_to_begin_with(bundle));
+  EXPECT_EQ(c.initial, bundle);
+  EXPECT_EQ(c.architecture.kind, "mfsr");
+  EXPECT_EQ(c.architecture.options, config("first").architecture.options);
+  EXPECT_EQ(c.serves, "any");
+  EXPECT_EQ(c.images.units, "coarse_edges");
+  EXPECT_EQ(c.window, 1);
+  EXPECT_EQ(c.batch, 3);
+  EXPECT_EQ(load_pairs(c, quiet).data.input_ranges, read_metadata(bundle).input);
+  EXPECT_THAT(error_of([&] { changes_to_begin_with(file.string()); }).what(), HasSubstr("no model bundle"));
+  EXPECT_EQ(error_of([&] { changes_to_begin_with("none.pt"); }).code(), ErrorCode::kNotFound);
 }
 
 }  // namespace
