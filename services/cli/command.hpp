@@ -29,6 +29,7 @@ std::vector<Command> add_export(CLI::App& root);
 std::vector<Command> add_body(CLI::App& root);
 std::vector<Command> add_dress(CLI::App& root);
 std::vector<Command> add_eval(CLI::App& root);
+std::vector<Command> add_learn(CLI::App& root);
 std::vector<Command> add_bench(CLI::App& root);
 std::vector<Command> add_jobs(CLI::App& root);
 

@@ -6,24 +6,15 @@
 #include "common/base/progress.hpp"
 #include "common/frame/detail.hpp"
 #include "services/cli/command.hpp"
+#include "services/cli/eval.hpp"
 #include "services/cli/launcher/launcher.hpp"
 #include "services/cli/output.hpp"
-#include "services/evaluation/evaluation.hpp"
 #include "services/evaluation/session_method.hpp"
 
 namespace pleat::cli {
 namespace {
 
 namespace fs = std::filesystem;
-
-struct EvalOptions {
-  std::string dataset, logs, coordinator;
-  std::vector<std::string> models, details;
-  evaluation::EvaluationOptions evaluation;
-  bool json = false, baselines = false, skip_refinement = false;
-  double timeout_s = 30;
-  rpc::TlsOptions tls;
-};
 
 // In the order of the rows.
 std::vector<v1::Detail> chosen_details(const EvalOptions& options) {
@@ -40,7 +31,9 @@ std::vector<v1::Detail> chosen_details(const EvalOptions& options) {
   return details;
 }
 
-int evaluate_command(const EvalOptions& options) {
+}  // namespace
+
+std::vector<evaluation::MethodFigures> evaluate(const EvalOptions& options) {
   const std::vector<v1::Detail> details = chosen_details(options);
   const DatasetReader dataset(options.dataset);
   std::vector<evaluation::Method> methods{evaluation::barycentric_method(dataset.topology())};
@@ -88,13 +81,20 @@ int evaluate_command(const EvalOptions& options) {
     }
   }
   std::optional<Progress> progress;
-  const auto figures =
+  auto figures =
       evaluation::evaluate(dataset, methods, options.evaluation, [&](std::uint64_t done, std::uint64_t total) {
         if (!progress) progress.emplace("frames", total);
         progress->update(done);
       });
   if (progress) progress->finish();
-  if (options.json)
+  return figures;
+}
+
+namespace {
+
+int evaluate_command(const EvalOptions& options, bool json) {
+  const auto figures = evaluate(options);
+  if (json)
     std::printf("%s\n", to_json(figures).dump(2).c_str());
   else
     std::printf("%s", evaluation::to_table(figures).c_str());
@@ -119,7 +119,8 @@ std::vector<Command> add_eval(CLI::App& root) {
   app->add_flag("--baselines", options->baselines,
                 "also wrinkles by example (Zurdo et al. 2013) from the data set's training split");
   app->add_flag("--skip-refinement", options->skip_refinement, "the meshes as networks and fold step make them");
-  add_json_option(*app, options->json, "print one JSON object: method -> metric -> value");
+  const auto json = std::make_shared<bool>(false);
+  add_json_option(*app, *json, "print one JSON object: method -> metric -> value");
   app->add_option("--logs", options->logs,
                   "folder for the services' logs (default: out/eval in a build, else $XDG_STATE_HOME/pleat/eval)");
   app->add_option("--coordinator", options->coordinator,
@@ -128,7 +129,7 @@ std::vector<Command> add_eval(CLI::App& root) {
       ->capture_default_str()
       ->check(positive_number());
   add_tls_options(*app, options->tls);
-  return {{app, [options] { return evaluate_command(*options); }}};
+  return {{app, [options, json] { return evaluate_command(*options, *json); }}};
 }
 
 }  // namespace pleat::cli

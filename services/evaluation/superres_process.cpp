@@ -18,17 +18,23 @@ using Clock = std::chrono::steady_clock;
 
 constexpr std::chrono::seconds kStartTimeout{120}, kStopTimeout{10};
 
+constexpr const char* kDefaultModel = "draping";  // the service's
+
 }  // namespace
 
 SuperresProcess::SuperresProcess(const fs::path& models, const std::string& precision, const fs::path& log)
     : address_("unix:" + (folder_.path() / "superres.sock").string()) {
   if (log.has_parent_path()) fs::create_directories(log.parent_path());
   begin_log(log, "pleat-superres");
-  process_.emplace(executable_folder() / "pleat-superres",
-                   std::vector<std::string>{"--listen", address_, "--die-with-parent", "--models",
-                                            (models.empty() ? cli::default_models_folder() : models).string(),
-                                            "--precision", precision},
-                   log);
+  const fs::path folder = models.empty() ? cli::default_models_folder() : models;
+  std::vector<std::string> arguments{"--listen",    address_, "--die-with-parent", "--models", folder.string(),
+                                     "--precision", precision};
+  // Other folders need not have the default bundle.
+  std::error_code ignored;
+  if (!fs::exists(folder / (std::string(kDefaultModel) + ".pt"), ignored)) {
+    arguments.insert(arguments.end(), {"--model", ""});
+  }
+  process_.emplace(executable_folder() / "pleat-superres", arguments, log);
   channel_ = rpc::create_channel(address_);
   const auto deadline = Clock::now() + kStartTimeout;
   while (!rpc::is_healthy(channel_, "pleat.v1.SuperResolution", std::chrono::milliseconds(300))) {
