@@ -249,6 +249,13 @@ v1::Scene varied(const Source& source, const Variation& v, double amount) {
   return scene;
 }
 
+v1::Tracking springs_message(const simulation::Tracking& tracking) {
+  v1::Tracking message;
+  message.set_spring(tracking.spring);
+  message.set_two_level(tracking.two_level);
+  return message;
+}
+
 SequencePlan plan_of(v1::Scene message, const Source& source, const SceneOptions& options) {
   if (options.rounds > 0) message.set_subdivision_rounds(static_cast<std::uint32_t>(options.rounds));
   SequencePlan plan;
@@ -257,8 +264,9 @@ SequencePlan plan_of(v1::Scene message, const Source& source, const SceneOptions
   plan.material_json = source.message.material_json();
   plan.samples = source.samples;
   plan.tracked = options.tracked;
-  if (!plan.tracked) plan.scene.tracking.frequency = 0;
-  if (plan.tracked && options.springs) plan.scene.tracking = simulation::published_tracking();
+  set_tracking(options, plan);
+  if (options.springs) *message.mutable_tracking() = springs_message(plan.scene.tracking);
+  if (options.frequency > 0) message.mutable_tracking()->set_frequency(options.frequency);
   plan.scene_json = scene_json(std::move(message));
   return plan;
 }

@@ -145,6 +145,15 @@ SetDefaults set_defaults(const std::string& set) {
   return defaults;
 }
 
+void set_tracking(const SceneOptions& options, SequencePlan& plan) {
+  if (options.frequency > 0 && (!plan.tracked || options.springs)) {
+    throw_invalid_argument("data set: a frequency is for a fine cloth that follows the coarse one by averages");
+  }
+  if (!plan.tracked) plan.scene.tracking.frequency = 0;
+  if (options.frequency > 0) plan.scene.tracking.frequency = options.frequency;
+  if (plan.tracked && options.springs) plan.scene.tracking = simulation::published_tracking();
+}
+
 std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vector<std::string>* notes) {
   std::vector<std::string> unasked;
   if (options.set == kOwnScenes) return plan_own_scenes(options, notes != nullptr ? *notes : unasked);
@@ -155,9 +164,6 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     throw_invalid_argument("data set: at least one sequence is needed");
   }
   if (options.frames < 2) throw_invalid_argument("data set: at least 2 frames per sequence are needed");
-  if (options.frequency > 0 && (!options.tracked || options.springs || is_free_set(options.set))) {
-    throw_invalid_argument("data set: a frequency is for a fine cloth that follows the coarse one by averages");
-  }
   const bool dressed = is_dressed_set(options.set);
   if (options.set != "draping" && options.set != "hitting" && !is_free_set(options.set) && !dressed) {
     throw_invalid_argument("data set '" + options.set +
@@ -177,9 +183,7 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     plan.scene.seed = options.seed;
     plan.scene.subdivision_rounds = options.rounds > 0 ? options.rounds : set_defaults(options.set).rounds;
     plan.tracked = options.tracked && !is_free_set(options.set);
-    if (!plan.tracked) plan.scene.tracking.frequency = 0;
-    if (plan.tracked && options.frequency > 0) plan.scene.tracking.frequency = options.frequency;
-    if (plan.tracked && options.springs) plan.scene.tracking = simulation::published_tracking();
+    set_tracking(options, plan);
     plan.scene_json = scene_to_json(plan, options.garment, options.material);
   }
   return plans;

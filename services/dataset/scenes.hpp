@@ -84,6 +84,10 @@ struct SceneOptions {
   int sequences = 12;                             ///< set "scenes": variations
 };
 
+/// How the fine cloth of a plan follows the coarse one: by averages, by springs, or, if it is not tracked, not at all.
+/// Throws kInvalidArgument for a frequency without averages.
+void set_tracking(const SceneOptions& options, SequencePlan& plan);
+
 /// DRAPING: one vertex of the cloth's upper edge is held; the cloth starts tilted by a random rotation, falls and
 /// swings. No two sequences hold the same vertex; further ones hold the others, then those of the training split again.
 /// HITTING: two corners of the upper edge are held, and a sphere swings through the hanging cloth; one of its five

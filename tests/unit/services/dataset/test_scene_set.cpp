@@ -53,6 +53,21 @@ class SceneSet : public SmallSet {
   json scene_;
 };
 
+TEST_F(SceneSet, TheScenesSayHowTheFineClothFollows) {
+  write(scene_);
+  options.scenes.frequency = 20;
+  for (const SequencePlan& plan : plan_sequences(options.scenes)) {
+    EXPECT_EQ(plan.scene.tracking.frequency, 20);
+    EXPECT_EQ(json::parse(plan.scene_json)["tracking"]["frequency"], 20) << plan.scene_json;
+  }
+  options.scenes.frequency = 0;
+  options.scenes.springs = true;
+  for (const SequencePlan& plan : plan_sequences(options.scenes)) {
+    EXPECT_EQ(plan.scene.tracking.spring, simulation::published_tracking().spring);
+    EXPECT_EQ(json::parse(plan.scene_json)["tracking"]["spring"], plan.scene.tracking.spring) << plan.scene_json;
+  }
+}
+
 TEST_F(SceneSet, TheSceneItselfIsForTestingAndEverySixthVariation) {
   write(scene_);
   const auto plans = plan_sequences(options.scenes);
