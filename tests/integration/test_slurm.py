@@ -81,7 +81,7 @@ class Slurm(unittest.TestCase):
         tasks = self.wait_for(data)
         lost = [task for task in tasks if f"ArrayTaskId={index} " in task]
         self.assertEqual(len(lost), 1, tasks)
-        self.assertIn("Restarts=1", lost[0], "the task of the lost node was not requeued")
+        self.assertRegex(lost[0], r"Restarts=[1-9]", "the task of the lost node was not requeued")
         self.assertIn("JobState=COMPLETED", self.wait_for(merge)[0], self.logs())
         self.assertEqual(sorted(p.name for p in (many / "sequences").iterdir()), [n + ".h5" for n in SEQUENCES])
         for name in ["dataset.h5", *(f"sequences/{name}.h5" for name in SEQUENCES)]:
