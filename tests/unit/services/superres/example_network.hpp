@@ -1,6 +1,8 @@
 // Small networks for tests.
 #pragma once
 
+#include <gtest/gtest.h>
+#include <torch/script.h>
 #include <torch/torch.h>
 
 #include <string>
@@ -67,6 +69,21 @@ inline Network make_network(const Description& description) {
 inline torch::Tensor example_input(std::int64_t batch, std::int64_t channels, std::int64_t height, std::int64_t width) {
   const auto ramp = torch::arange(batch * channels * height * width, torch::kFloat32);
   return (0.5 + 0.45 * torch::sin(ramp * 0.37)).view({batch, channels, height, width});
+}
+
+/// The script of a network that remembers goes on from its own answers as the network does.
+inline void expect_script_remembers(const Network& network, const torch::Tensor& x, int frames) {
+  const Description& d = network.description();
+  auto module = network.to_script();
+  auto memory = network.no_memory(x), own = memory;
+  for (int frame = 0; frame < frames; ++frame) {
+    const auto values = network.values({x * (1.0 + frame), memory, {}}, {d.values() - 1, d.memory});
+    memory = network.remember(memory, values[1]);
+    const auto both = module.forward({x * (1.0 + frame), own}).toTuple();
+    own = both->elements()[1].toTensor();
+    EXPECT_LT((both->elements()[0].toTensor() - values[0]).abs().max().item<double>(), 1e-5);
+    EXPECT_LT((own - memory).abs().max().item<double>(), 1e-5);
+  }
 }
 
 }  // namespace pleat::superres

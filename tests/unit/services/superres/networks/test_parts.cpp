@@ -3,7 +3,6 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <torch/script.h>
 
 #include "services/superres/networks/network.hpp"
 #include "tests/unit/services/superres/example_network.hpp"
@@ -44,19 +43,7 @@ TEST_P(ImageHistory, IsItsLastAnswers) {
 }
 
 TEST_P(ImageHistory, TheScriptIsTheSameFunction) {
-  const Network network = make_network(description());
-  const Description& d = network.description();
-  auto module = network.to_script();
-  const auto x = example_input(1, kInputs, 4, 6);
-  auto memory = network.no_memory(x), own = memory;
-  for (int frame = 0; frame < 3; ++frame) {
-    const auto values = network.values({x * (1.0 + frame), memory, {}}, {d.values() - 1, d.memory});
-    memory = network.remember(memory, values[1]);
-    const auto both = module.forward({x * (1.0 + frame), own}).toTuple();
-    own = both->elements()[1].toTensor();
-    EXPECT_LT((both->elements()[0].toTensor() - values[0]).abs().max().item<double>(), 1e-5);
-    EXPECT_LT((own - memory).abs().max().item<double>(), 1e-5);
-  }
+  expect_script_remembers(make_network(description()), example_input(1, kInputs, 4, 6), 3);
 }
 
 TEST_P(ImageHistory, BeginsAtTheUpsampledMesh) {

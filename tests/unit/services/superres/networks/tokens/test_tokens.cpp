@@ -44,19 +44,7 @@ TEST(History, IsTheFirstThreeChannelsOfItsAnswers) {
 }
 
 TEST(History, TheScriptIsTheSameFunction) {
-  const Network network = make_network(with_history(2));
-  const Description& d = network.description();
-  auto module = network.to_script();
-  const auto x = example_input(1, kInputs, 1, 4);
-  auto memory = network.no_memory(x), own = memory;
-  for (int frame = 0; frame < 4; ++frame) {
-    const auto values = network.values({x * (1.0 + frame), memory, {}}, {d.values() - 1, d.memory});
-    memory = network.remember(memory, values[1]);
-    const auto both = module.forward({x * (1.0 + frame), own}).toTuple();
-    own = both->elements()[1].toTensor();
-    EXPECT_LT((both->elements()[0].toTensor() - values[0]).abs().max().item<double>(), 1e-5);
-    EXPECT_LT((own - memory).abs().max().item<double>(), 1e-5);
-  }
+  expect_script_remembers(make_network(with_history(2)), example_input(1, kInputs, 1, 4), 4);
 }
 
 TEST(History, BeginsAtTheUpsampledMesh) {
