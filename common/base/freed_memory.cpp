@@ -1,6 +1,7 @@
 #include "common/base/freed_memory.hpp"
 
 #include <cstdlib>  // says which C library it is
+#include <limits>
 
 #ifdef __GLIBC__
 #include <malloc.h>
@@ -14,6 +15,14 @@ void keep_freed_memory() {
   mallopt(M_MMAP_THRESHOLD, 32 << 20);
   mallopt(M_TRIM_THRESHOLD, 64 << 20);
   mallopt(M_TOP_PAD, 1 << 20);
+#endif
+}
+
+void keep_all_freed_memory() {
+#ifdef __GLIBC__
+  mallopt(M_MMAP_THRESHOLD, 32 << 20);
+  mallopt(M_TRIM_THRESHOLD, std::numeric_limits<int>::max());
+  mallopt(M_ARENA_MAX, 1);
 #endif
 }
 

@@ -8,4 +8,8 @@ namespace pleat {
 /// each of the allocator's arenas lie idle. Call before threads start. Does nothing where the allocator isn't glibc's.
 void keep_freed_memory();
 
+/// The same without that limit, and one arena for all threads: for programs that take gigabytes for every step and are
+/// alone on their machine, as trainings are.
+void keep_all_freed_memory();
+
 }  // namespace pleat

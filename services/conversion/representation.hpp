@@ -12,6 +12,7 @@
 
 #include "common/features/channel_ranges.hpp"
 #include "common/frame/frame.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "services/conversion/geometry_image/image_spec.hpp"
 #include "services/conversion/vertex_features/vertex_spec.hpp"
@@ -72,9 +73,11 @@ class Representation {
   virtual RigidTransform align(const Positions& coarse) const = 0;
 
   /// A window of coarse frames as the network reads it: (T C, ...), the oldest frame's channels first. frames: T >= 1,
-  /// the newest last; all in the alignment of the newest one. Throws kInvalidArgument for a wrong vertex count or
-  /// values that are not finite.
-  virtual void encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input) const = 0;
+  /// the newest last; all in the alignment of the newest one. obstacles: of the newest frame; read by those that
+  /// reads_obstacles(), null is none. Throws kInvalidArgument for a wrong vertex count or values that are not finite.
+  virtual void encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input,
+                      ObstacleField* obstacles) const = 0;
+  virtual bool reads_obstacles() const = 0;
 
   /// What the network should answer for a coarse frame whose fine frame is known. Throws as encode().
   virtual void target(const Frame& coarse, const Frame& fine, const RigidTransform& alignment,

@@ -22,6 +22,7 @@ grpc::Status ConversionService::ToImage(grpc::ServerContext* context,
   return rpc::serve_frames<v1::ToImageRequest, v1::ToImageResponse>(
       context, stream, {"to_image", &metrics_}, [this](const v1::ToImageOpen& message, v1::ConversionOpened* opened) {
         const auto session = open(message.setup(), false, message.dtype(), opened);
+        session->add_obstacles(message.obstacles());
         return [session, this](const v1::ToImageRequest& request, v1::ImageFrame* response) {
           session->encode(request, response);
           if (response->out_of_range() > 0) metrics_.count("out_of_range_values", response->out_of_range());

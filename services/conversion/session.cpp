@@ -105,6 +105,14 @@ void Session::describe(bool with_fine, v1::ConversionOpened* opened) const {
   opened->mutable_feature_vertices()->Add(features.begin(), features.end());
 }
 
+void Session::add_obstacles(const google::protobuf::RepeatedPtrField<v1::ObstacleShape>& shapes) {
+  if (!representation_->reads_obstacles()) return;
+  for (const auto& shape : shapes) {
+    obstacles_.push_back(from_message(shape, "open.obstacles[" + std::to_string(obstacles_.size()) + "]"));
+  }
+  field_.emplace(obstacles_);
+}
+
 void Session::encode(const v1::ToImageRequest& request, v1::ImageFrame* response) {
   const Eigen::Index vertices = representation_->coarse().vertex_count();
   if (request.earlier_size() + 1 != static_cast<int>(frames_.size())) {
@@ -117,7 +125,8 @@ void Session::encode(const v1::ToImageRequest& request, v1::ImageFrame* response
   Frame& newest = frames_.back();
   newest = from_message(request.frame(), vertices, "frame");
   const RigidTransform alignment = representation_->align(newest.positions);
-  representation_->encode(frames_, alignment, input_tensor_);
+  if (field_) field_->update(obstacles_from_messages(request.obstacles(), obstacles_, "obstacles"));
+  representation_->encode(frames_, alignment, input_tensor_, field_ ? &*field_ : nullptr);
   response->set_out_of_range(static_cast<std::uint32_t>(normalize(input_, input_tensor_)));
   response->set_index(newest.index);
   response->set_time_s(newest.time_s);

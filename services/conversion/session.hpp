@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "common/base/limits.hpp"
@@ -27,6 +28,8 @@ class Session {
 
   /// Sizes, constants, and with_fine: the fine mesh and its feature vertices, too.
   void describe(bool with_fine, v1::ConversionOpened* opened) const;
+  /// What the frames to encode have around them. Read where the representation does, else ignored.
+  void add_obstacles(const google::protobuf::RepeatedPtrField<v1::ObstacleShape>& shapes);
   /// What the network reads of a window of coarse frames, normalised.
   void encode(const v1::ToImageRequest& request, v1::ImageFrame* response);
   /// The fine frame that the network's answer means.
@@ -40,6 +43,8 @@ class Session {
   bool was_cached_ = false;
   ChannelRanges input_, output_;  ///< input_: of all frames of the window
   v1::Tensor::DType dtype_;
+  std::vector<ObstacleShape> obstacles_;
+  std::optional<ObstacleField> field_;  ///< of the representation that reads obstacles
   // Reused from frame to frame.
   std::vector<Frame> frames_;
   Tensor input_tensor_, answer_;

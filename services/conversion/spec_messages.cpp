@@ -66,6 +66,7 @@ VertexFeatureSpec features_from(const v1::VertexFeatures& message) {
                              std::to_string(static_cast<int>(message.answer())));
   }
   spec.fixed_axes = message.fixed_axes();
+  spec.obstacles = message.obstacles();
   if (message.has_passes()) spec.passes = extent(message.passes());
   if (message.anchor_weight() != 0) spec.anchor_weight = message.anchor_weight();
   return spec;

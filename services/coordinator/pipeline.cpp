@@ -32,12 +32,22 @@ struct ToImageRpc {
     frame.coarse.Swap(sent<Request>(frame).mutable_frame());
     frame.coarse.set_index(frame.index);
   }
-  static void prepare(PipelineFrame& frame) {
+  static std::shared_ptr<Request> request_of(PipelineFrame& frame) {
     auto work = std::make_shared<Request>();
     work->mutable_frame()->Swap(&frame.coarse);
     work->mutable_frame()->set_index(frame.sequence);
     for (const auto& earlier : frame.earlier) *work->add_earlier() = *earlier;
     frame.earlier.clear();
+    return work;
+  }
+  static void prepare(PipelineFrame& frame) { frame.work = request_of(frame); }
+};
+
+/// Of a network that reads where obstacles are; the stages to come want them, too.
+struct ToImageAmongObstaclesRpc : ToImageRpc {
+  static void prepare(PipelineFrame& frame) {
+    auto work = request_of(frame);
+    *work->mutable_obstacles() = frame.obstacles;
     frame.work = std::move(work);
   }
 };
@@ -148,12 +158,16 @@ struct RefineRpc {
   }
 };
 
-RemoteStage<ToImageRpc>::Options to_image_options(const ServiceAddresses& addresses, const LinkOptions& link,
-                                                  const PipelineSession& session) {
-  RemoteStage<ToImageRpc>::Options options{
+bool reads_obstacles(const PipelineSession& session) { return session.representation.vertex_features().obstacles(); }
+
+template <typename Rpc>
+typename RemoteStage<Rpc>::Options to_image_options(const ServiceAddresses& addresses, const LinkOptions& link,
+                                                    const PipelineSession& session) {
+  typename RemoteStage<Rpc>::Options options{
       .stage = "to_image", .service = "conversion", .addresses = addresses.conversion, .open = {}, .link = link};
   *options.open.mutable_open()->mutable_setup() = conversion_setup(session);
   options.open.mutable_open()->set_dtype(session.conversion.dtype());
+  if (reads_obstacles(session)) *options.open.mutable_open()->mutable_obstacles() = session.obstacles;
   return options;
 }
 
@@ -235,7 +249,13 @@ EnhancementPipeline::EnhancementPipeline(const ServiceAddresses& addresses, cons
   for (const v1::Frame& frame : session.earlier) earlier_.fill(frame);
   const auto check_fine = [fine_hash](const std::string& hash) { check_fine_hash(hash, fine_hash); };
   if (uses_network(session.detail)) {
-    add_stage<ToImageRpc>(to_image_options(addresses, link, session), session, [](const auto&) {});
+    const auto opened = [](const auto&) {};
+    if (reads_obstacles(session)) {
+      add_stage<ToImageAmongObstaclesRpc>(to_image_options<ToImageAmongObstaclesRpc>(addresses, link, session), session,
+                                          opened);
+    } else {
+      add_stage<ToImageRpc>(to_image_options<ToImageRpc>(addresses, link, session), session, opened);
+    }
     // Conversion was set up for the bundle that was described: images of another one would be read wrongly.
     const auto same_bundle = [before = session.model](const auto& opened) { require_same_bundle(before, opened); };
     if (network_remembers(session)) {

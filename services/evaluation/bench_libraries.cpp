@@ -153,7 +153,7 @@ void add_detail_times(const Topology& coarse, Figures& figures) {
     for (Size& size : sizes) {
       const RigidTransform alignment = size.representation->align(frame.positions);
       size.encode.push_back(
-          milliseconds([&] { size.representation->encode(std::span(&frame, 1), alignment, size.input); }));
+          milliseconds([&] { size.representation->encode(std::span(&frame, 1), alignment, size.input, nullptr); }));
       size.decode.push_back(
           milliseconds([&] { size.representation->decode(size.answer, frame.positions, alignment, fine); }));
     }

@@ -18,7 +18,7 @@
 #include "services/fold/levels.hpp"
 #include "services/fold/tracking.hpp"
 #include "services/fold/viscosity.hpp"
-#include "services/refinement/obstacle_field.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
 namespace pleat::fold {
@@ -93,7 +93,7 @@ struct FoldStep::Work {
   int steps;
   float step_s, frame_s;
   Float4 down;  // unit, or 0 without gravity
-  refinement::ObstacleField obstacles;
+  ObstacleField obstacles;
   LayerFinder layers;
   refinement::SelfIntersectionFinder tangles;
   std::vector<float> masses;  // kg per fine vertex

@@ -7,7 +7,7 @@
 
 #include "common/base/parallel.hpp"
 #include "common/mesh/mesh.hpp"
-#include "services/refinement/obstacle_field.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
 namespace pleat::refinement {

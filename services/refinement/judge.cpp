@@ -2,7 +2,7 @@
 
 #include "common/base/checks.hpp"
 #include "common/base/error.hpp"
-#include "services/refinement/obstacle_field.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
 namespace pleat::refinement {

@@ -6,7 +6,7 @@
 
 #include "common/mesh/mesh.hpp"
 #include "services/refinement/cloth_contacts.hpp"
-#include "services/refinement/obstacle_field.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 #include "services/refinement/smoothing_solver.hpp"
 

@@ -9,7 +9,7 @@
 #include "common/base/error.hpp"
 #include "services/refinement/cloth_contacts.hpp"
 #include "services/refinement/impact_zones.hpp"
-#include "services/refinement/obstacle_field.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/obstacle_push.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 

@@ -19,6 +19,8 @@
 #include "services/superres/bundle/bundle.hpp"
 #include "services/superres/bundle/folder.hpp"
 #include "services/superres/kernels/executor.hpp"
+#include "services/superres/kernels/token_executor.hpp"
+#include "services/superres/networks/torch_threads.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -82,7 +84,9 @@ struct Engine::State {
   EngineStatus status;
   torch::Device device = torch::kCPU;
   torch::jit::Module module;
-  std::unique_ptr<kernels::Executor> executor;  ///< in place of the module where it can
+  // One of them in place of the module where it can.
+  std::unique_ptr<kernels::Executor> executor;
+  std::unique_ptr<kernels::TokenExecutor> token_executor;
   std::shared_ptr<const Tensor> constants_in_use;
   std::mutex mutex;
 
@@ -122,7 +126,7 @@ struct Engine::State {
   /// One inference of the module. input: (N, T C + K, h, w). Returns (N, outputs, H, W).
   torch::Tensor run_module(const torch::Tensor& input, torch::Tensor& memory) {
     const c10::InferenceMode inference;
-    if (at::get_num_threads() != status.threads) at::set_num_threads(status.threads);
+    if (at::get_num_threads() != status.threads) set_torch_threads(status.threads);
     const std::string name = "model bundle '" + metadata.name + "': ";
     try {
       const auto output = call_module(input, memory);
@@ -153,14 +157,20 @@ struct Engine::State {
     return input;
   }
 
+  bool has_own() const { return executor || token_executor; }
+
   void run_own(std::span<const NetworkInput> inputs, int channels, std::span<Tensor* const> answers) {
     for (std::size_t n = 0; n < inputs.size(); ++n) {
       const Tensor& frames = *inputs[n].frames;
       const std::span<const float> constants =
           inputs[n].constants ? std::span<const float>(inputs[n].constants->values) : std::span<const float>();
-      executor->run(frames.values.data(), constants,
-                    {static_cast<int>(frames.shape[1]), static_cast<int>(frames.shape[2])}, channels,
-                    answers[n]->values.data());
+      const Size size{static_cast<int>(frames.shape[1]), static_cast<int>(frames.shape[2])};
+      if (token_executor) {
+        token_executor->run(frames.values.data(), constants, size, channels, answers[n]->values.data(),
+                            {inputs[n].memory, inputs[n].left});
+        continue;
+      }
+      executor->run(frames.values.data(), constants, size, channels, answers[n]->values.data());
       // The executor knows them by their address: it may not become another's.
       constants_in_use = inputs[n].constants;
     }
@@ -172,7 +182,7 @@ struct Engine::State {
       answer->shape = answer_shape(inputs.front().frames->shape, channels);
       answer->values.resize(static_cast<std::size_t>(answer->shape[0] * answer->shape[1] * answer->shape[2]));
     }
-    if (executor) return run_own(inputs, channels, answers);
+    if (has_own()) return run_own(inputs, channels, answers);
     for (std::size_t begin = 0; begin < inputs.size();) {
       const std::size_t count =
           remembers() ? 1 : std::min(inputs.size() - begin, static_cast<std::size_t>(status.largest_batch));
@@ -207,7 +217,7 @@ struct Engine::State {
     const Tensor frames = filled(ports.inputs - metadata.constants);
     const auto constants =
         metadata.constants > 0 ? std::make_shared<const Tensor>(filled(metadata.constants)) : nullptr;
-    for (const int batch : {1, executor ? 1 : status.largest_batch}) {
+    for (const int batch : {1, has_own() ? 1 : status.largest_batch}) {
       const std::vector<NetworkInput> inputs(static_cast<std::size_t>(batch), NetworkInput{&frames, constants});
       std::vector<Tensor> results(inputs.size());
       const std::vector<Tensor*> answers = addresses(results);
@@ -248,24 +258,33 @@ Engine::Engine(const EngineOptions& options, const std::string& name) : state_(s
   s.status.largest_batch = std::max(1, options.largest_batch);
 
   const bool registered = is_registered(s.metadata.architecture.kind);
-  if (!cuda && !options.torchscript && registered && !s.remembers() && (!bfloat16 || kernels::has_bfloat16())) {
+  if (!cuda && !options.torchscript && registered) {
     const Description network = superres::describe(s.metadata.architecture, s.ports);
-    if (!network.ends_only && kernels::Executor::supports(network)) {
+    const bool tokens = !network.ends_only && kernels::TokenExecutor::supports(network);
+    const bool image = !network.ends_only && !s.remembers() && (!bfloat16 || kernels::has_bfloat16()) &&
+                       kernels::Executor::supports(network);
+    if (tokens || image) {
       const auto values = std::make_shared<const std::map<std::string, std::vector<float>>>(values_of(s.module));
       const auto find = [values](const std::string& parameter) -> std::span<const float> {
         const auto found = values->find(parameter);
         if (found == values->end()) return {};
         return found->second;
       };
-      s.executor = std::make_unique<kernels::Executor>(network, find,
-                                                       kernels::ExecutorOptions{bfloat16, s.status.threads, false});
-      s.status.kernels = s.executor->kernels();
+      if (tokens) {
+        s.token_executor = std::make_unique<kernels::TokenExecutor>(network, find, s.status.threads);
+        s.status.kernels = "own, tokens";
+        s.status.precision = "float32";
+      } else {
+        s.executor = std::make_unique<kernels::Executor>(network, find,
+                                                         kernels::ExecutorOptions{bfloat16, s.status.threads, false});
+        s.status.kernels = s.executor->kernels();
+      }
       s.module = {};
     }
   }
-  if (!s.executor) {
+  if (!s.has_own()) {
     const torch::NoGradGuard no_grad;
-    at::set_num_threads(s.status.threads);
+    set_torch_threads(s.status.threads);
     try {
       if (bfloat16) convert_to_bfloat16(s.module, s.metadata.float32_parameters);
       s.module.to(s.device);

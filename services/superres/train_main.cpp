@@ -1,4 +1,5 @@
 // pleat-train CONFIG: trains a model bundle (docs/training.md).
+#include "common/base/freed_memory.hpp"
 #include "common/base/program.hpp"
 #include "services/superres/training/program.hpp"
 
@@ -31,6 +32,7 @@ int main(int argc, char** argv) {
   app.add_option("--rendezvous", arguments.rendezvous,
                  "HOST:PORT: the processes are started elsewhere too, with the same options, and meet there");
   return pleat::run_program(app, argc, argv, [&] {
+    pleat::keep_all_freed_memory();
     arguments.words.assign(argv + 1, argv + argc);
     if (strict) arguments.changes.emplace_back("strict=true");
     arguments.git_revision = PLEAT_GIT_REVISION;

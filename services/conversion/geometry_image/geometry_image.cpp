@@ -25,7 +25,8 @@ std::vector<std::int64_t> GeometryImage::answer_shape() const {
 std::vector<std::string> GeometryImage::input_channels() const { return frame_channel_names(); }
 std::vector<std::string> GeometryImage::answer_channels() const { return frame_channel_names(); }
 
-void GeometryImage::encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input) const {
+void GeometryImage::encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input,
+                           ObstacleField*) const {
   if (static_cast<int>(frames.size()) != spec_.window) {
     throw_invalid_argument("window: " + std::to_string(frames.size()) + " frames, the representation has " +
                            std::to_string(spec_.window));

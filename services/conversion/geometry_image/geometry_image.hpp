@@ -22,7 +22,9 @@ class GeometryImage : public Representation {
   std::vector<std::string> answer_channels() const override;
   const Tensor& constants() const override { return constants_; }
   RigidTransform align(const Positions& coarse) const override { return map_.align(coarse); }
-  void encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input) const override;
+  void encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input,
+              ObstacleField* obstacles) const override;
+  bool reads_obstacles() const override { return false; }
   void target(const Frame& coarse, const Frame& fine, const RigidTransform& alignment, Tensor& answer) const override;
   void decode(const Tensor& answer, const Positions& coarse, const RigidTransform& alignment,
               Positions& fine) const override;

@@ -14,6 +14,9 @@
 namespace pleat::conversion {
 namespace {
 
+constexpr double kReachEdges = 2;    // mean coarse edges, in which obstacles are felt
+constexpr double kDepthEdges = 0.5;  // the same, in which the inside of a mesh is searched for its surface
+
 /// A fine vertex by the coarse vertices that it is a mean of: (vertex, its share of 2^rounds), ascending, kNone last.
 using Share = std::pair<std::uint32_t, int>;
 using Shares = std::array<Share, 3>;
@@ -150,7 +153,9 @@ void VertexRepresentation::make_constants() {
   constants_.values.resize(constants_.channels.size() * faces());
   double edge = 0;
   for (const auto& e : extractor_.rings().edges()) edge += static_cast<double>((rest.row(e.a) - rest.row(e.b)).norm());
-  const float length = static_cast<float>(edge / static_cast<double>(extractor_.rings().edges().size()));
+  edge /= static_cast<double>(extractor_.rings().edges().size());
+  reach_ = kReachEdges * edge;
+  const float length = static_cast<float>(edge);
   for (std::size_t face = 0; face < faces(); ++face) {
     const auto corner = [&](Eigen::Index k) {
       return Eigen::RowVector3f(rest.row(coarse_.faces(static_cast<Eigen::Index>(face), k)));
@@ -185,6 +190,9 @@ std::vector<std::string> VertexRepresentation::input_channels() const {
   std::vector<std::string> of_vertex = feature_channel_names(extractor_.code()), names;
   for (const char* name : {"position_x", "position_y", "position_z", "velocity_x", "velocity_y", "velocity_z"}) {
     of_vertex.emplace_back(name);
+  }
+  if (features().obstacles) {
+    for (const char* name : {"obstacle_near", "obstacle_x", "obstacle_y", "obstacle_z"}) of_vertex.emplace_back(name);
   }
   for (int k = 0; k < 3; ++k) {
     for (const std::string& name : of_vertex) names.push_back(name + "_corner" + std::to_string(k));
@@ -250,7 +258,24 @@ void VertexRepresentation::vertex_features(const Frame& frame, const RigidTransf
   }
 }
 
-void VertexRepresentation::encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input) const {
+void VertexRepresentation::obstacle_features(const Frame& frame, const RigidTransform& alignment,
+                                             ObstacleField* obstacles, float* to) const {
+  const auto vertices = static_cast<std::size_t>(coarse_.vertex_count());
+  std::fill_n(to, 4 * vertices, 0.0F);
+  if (obstacles == nullptr || obstacles->empty()) return;
+  for (std::size_t v = 0; v < vertices; ++v) {
+    const Eigen::Vector3d p = frame.positions.row(static_cast<Eigen::Index>(v)).cast<double>();
+    const auto contact = obstacles->contact_near(p, reach_, kDepthEdges / kReachEdges * reach_);
+    if (!contact) continue;
+    const double near = std::clamp(1 - contact->distance / reach_, 0.0, 2.0);
+    const Eigen::Vector3f away = alignment.rotation * (near * contact->normal).cast<float>();
+    to[v] = static_cast<float>(near);
+    for (std::size_t c = 0; c < 3; ++c) to[(1 + c) * vertices + v] = away[static_cast<Eigen::Index>(c)];
+  }
+}
+
+void VertexRepresentation::encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input,
+                                  ObstacleField* obstacles) const {
   if (static_cast<int>(frames.size()) != spec_.window) {
     throw_invalid_argument("window: " + std::to_string(frames.size()) + " frames, the representation has " +
                            std::to_string(spec_.window));
@@ -272,6 +297,9 @@ void VertexRepresentation::encode(std::span<const Frame> frames, const RigidTran
   float* to = input.values.data();
   for (std::size_t t = 0; t < frames.size(); ++t) {
     vertex_features(frames[t], alignment, t == 0, *scratch);
+    if (features().obstacles) {
+      obstacle_features(frames[t], alignment, obstacles, scratch->features.data() + (channels - 4) * vertices);
+    }
     for (Eigen::Index k = 0; k < 3; ++k) {
       for (std::size_t c = 0; c < channels; ++c) {
         const float* from = scratch->features.data() + c * vertices;

@@ -14,7 +14,8 @@ namespace pleat::conversion {
 
 /// The places of all tensors are the F coarse faces. Input (3 C, 1, F): the C features of each corner, rotation and
 /// stretch of its one-ring, position about the centroid (m) and velocity (m/s), in the axes of the newest frame's
-/// heading. Answer (C', s, s F): a square of s x s values for each face, the first ones for the fine vertices in it
+/// heading; with spec().obstacles also how near the nearest obstacle of the newest frame is, 1 at its surface and 0 from
+/// two mean coarse edges on, and the direction away from it, as long as that. Answer (C', s, s F): a square of s x s values for each face, the first ones for the fine vertices in it
 /// (lattice order), the others padding. By AnswerKind:
 ///   kGradients      the fine vertex's offset from the upsampled coarse surface (m), and what its deformation gradient
 ///                   has more than that surface's, 6 channels where the fine rest mesh is flat, else 9. Decoding adds
@@ -40,7 +41,9 @@ class VertexRepresentation final : public Representation {
   std::vector<std::string> answer_channels() const override;
   const Tensor& constants() const override { return constants_; }
   RigidTransform align(const Positions& coarse) const override;
-  void encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input) const override;
+  void encode(std::span<const Frame> frames, const RigidTransform& alignment, Tensor& input,
+              ObstacleField* obstacles) const override;
+  bool reads_obstacles() const override { return features().obstacles; }
   void target(const Frame& coarse, const Frame& fine, const RigidTransform& alignment, Tensor& answer) const override;
   void decode(const Tensor& answer, const Positions& coarse, const RigidTransform& alignment,
               Positions& fine) const override;
@@ -66,12 +69,15 @@ class VertexRepresentation final : public Representation {
   const VertexFeatureSpec& features() const { return std::get<VertexFeatureSpec>(spec_.kind); }
   std::size_t faces() const { return static_cast<std::size_t>(coarse_.face_count()); }
   std::size_t answer_places() const { return answer_mask_.size(); }
-  int corner_channels() const { return extractor_.channels() + 6; }
+  int corner_channels() const { return extractor_.channels() + 6 + (features().obstacles ? 4 : 0); }
   void make_places();
   void make_constants();
   void check_coarse(const Positions& coarse) const;
   /// (C, V_coarse) to scratch.features.
   void vertex_features(const Frame& frame, const RigidTransform& alignment, bool first, Scratch& scratch) const;
+  /// (4, V_coarse) to `to`: nearness and direction of the nearest obstacle.
+  void obstacle_features(const Frame& frame, const RigidTransform& alignment, ObstacleField* obstacles,
+                         float* to) const;
   /// D channels of the gradients of fine positions in the alignment's axes.
   void gradient_planes(const Positions& aligned, Scratch& scratch, std::vector<float>& planes) const;
   bool has_offsets() const { return features().answer != AnswerKind::kFeaturesAlone; }
@@ -94,6 +100,7 @@ class VertexRepresentation final : public Representation {
   VertexReads reads_;
   std::vector<std::uint8_t> input_mask_, answer_mask_;
   Tensor constants_;
+  double reach_ = 0;  ///< m, from where on an obstacle is not felt
   mutable Pool<Scratch> scratch_;
 };
 

@@ -27,6 +27,7 @@ struct VertexFeatureSpec {
   int passes = kDefaultPasses;  ///< corrections of an answer's positions by its gradients, 0 to kMostPasses
   double anchor_weight = kDefaultAnchorWeight;  ///< of the coarse vertices meanwhile (Anchors::weight), > 0
   AnswerKind answer = AnswerKind::kGradients;
+  bool obstacles = false;  ///< the network reads where obstacles are, too
 };
 
 /// Fine vertices in a coarse face whose edges were halved `rounds` times, those on its edges included.

@@ -83,7 +83,8 @@ json document_of(const conversion::VertexFeatureSpec& features) {
           {"fixed_axes", features.fixed_axes},
           {"passes", features.passes},
           {"anchor_weight", features.anchor_weight},
-          {"answer", kAnswers[static_cast<std::size_t>(features.answer)]}};
+          {"answer", kAnswers[static_cast<std::size_t>(features.answer)]},
+          {"obstacles", features.obstacles}};
 }
 
 json document_of(const conversion::GeometryImageSpec& image) {
@@ -114,6 +115,7 @@ conversion::VertexFeatureSpec read_features(const Object& features) {
   spec.passes = features.integer("passes", conversion::kDefaultPasses, 0, conversion::kMostPasses);
   spec.anchor_weight = features.get<double>("anchor_weight", conversion::kDefaultAnchorWeight);
   spec.answer = features.choice<conversion::AnswerKind>("answer", kAnswers);
+  spec.obstacles = features.get<bool>("obstacles", false);
   return spec;
 }
 

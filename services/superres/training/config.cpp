@@ -31,6 +31,7 @@ void visit(Visitor& v, Config& c) {
     v.range("passes", c.vertex_features.passes, 0, conversion::kMostPasses);
     v.range("anchor_weight", c.vertex_features.anchor_weight, 1e-6, 1e6);
     v.choice("answer", c.vertex_features.answer, {"gradients", "features", "features_alone"});
+    v.value("obstacles", c.vertex_features.obstacles);
     v.choice("normalization", c.vertex_features.normalization, {"channel", "group", "range"});
   });
   v.choice("serves", c.serves, {"mesh", "any"});

@@ -29,6 +29,7 @@ struct FeaturesConfig {
   int passes = conversion::kDefaultPasses;  ///< corrections of an answer's positions by its gradients
   double anchor_weight = conversion::kDefaultAnchorWeight;
   std::string answer = "gradients";  ///< or "features", "features_alone" (conversion::AnswerKind)
+  bool obstacles = false;            ///< the network reads where obstacles are, too
   /// Of inputs and answers. "channel": mean and deviation of each; "group": one deviation for rotations, one for
   /// stretches and so on, zero at rest; "range": one smallest and largest value for each such group, mapped to -0.95 to
   /// 0.95, as published.

@@ -1,6 +1,7 @@
 #include "services/superres/training/frame_converter.hpp"
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 
 #include "common/base/error.hpp"
@@ -29,6 +30,9 @@ void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride,
     if (stopped_()) throw Error(ErrorCode::kCancelled, "stopped on request while images were converted");
     const std::uint64_t end = std::min(first + kChunk, sequence.frames_complete);
     std::vector<Positions> coarse = reader_.coarse(sequence.name, first, end);
+    const bool reads_obstacles = representation_.reads_obstacles() && !sequence.obstacles.empty();
+    std::vector<std::vector<ObstacleFrame>> obstacles;
+    if (reads_obstacles) obstacles = reader_.obstacles(sequence.name, first, end);
     const auto fine = reader_.fine(sequence.name, first, end);
     const std::size_t known = coarse_before.size();
     coarse.insert(coarse.begin(), std::make_move_iterator(coarse_before.begin()),
@@ -41,6 +45,8 @@ void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride,
     };
     std::vector<Converted> results(fine.size());
     pool_.parallel_for(results.size(), 1, [&](std::size_t begin, std::size_t stop) {
+      std::optional<ObstacleField> field;
+      if (reads_obstacles) field.emplace(sequence.obstacles);
       for (std::size_t i = begin; i < stop; ++i) {
         if ((first + i) % stride != 0) continue;
         std::vector<Frame> frames;
@@ -50,7 +56,8 @@ void FrameConverter::run(const SequenceInfo& sequence, std::size_t stride,
         }
         Converted& result = results[i];
         result.alignment = representation_.align(frames.back().positions);
-        representation_.encode(frames, result.alignment, result.input);
+        if (field) field->update(obstacles[i]);
+        representation_.encode(frames, result.alignment, result.input, field ? &*field : nullptr);
         representation_.target(frames.back(), frame_of(fine, i, fine_before), result.alignment, result.answer);
       }
     });

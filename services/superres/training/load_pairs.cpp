@@ -40,7 +40,11 @@ conversion::VertexFeatureSpec features_spec(const FeaturesConfig& c) {
                       : c.answer == "features_alone" ? conversion::AnswerKind::kFeaturesAlone
                                                      : conversion::AnswerKind::kGradients;
   return {c.rotation == "quaternion" ? conversion::RotationCode::kQuaternion : conversion::RotationCode::kLogarithm,
-          c.axes == "fixed", c.passes, c.anchor_weight, answer};
+          c.axes == "fixed",
+          c.passes,
+          c.anchor_weight,
+          answer,
+          c.obstacles};
 }
 
 conversion::GeometryImageSpec image_spec(const ImagesConfig& c) {
@@ -293,16 +297,17 @@ class Loader {
     const auto written = std::filesystem::last_write_time(file, error).time_since_epoch().count();
     const ImagesConfig& c = config_.images;
     const FeaturesConfig& f = config_.vertex_features;
-    const json content{{"topology", {loaded_.data.topology_hash, info.topology_hash}},
-                       {"images", {c.layout, c.base, c.units, key_.width, key_.height, c.scale, c.method, c.lambda}},
-                       {"representation", {config_.representation, f.rotation, f.axes, f.answer, f.normalization}},
-                       {"window", {config_.window, config_.window_stride}},
-                       {"input", ranges_json(loaded_.data.input_ranges)},
-                       {"output", ranges_json(loaded_.data.output_ranges)},
-                       {"frames", info.frames_complete},
-                       {"frame_time_s", master().frame_time_s},
-                       {"every_frames", stride_of(info)},
-                       {"file", {std::filesystem::file_size(file, error), written}}};
+    const json content{
+        {"topology", {loaded_.data.topology_hash, info.topology_hash}},
+        {"images", {c.layout, c.base, c.units, key_.width, key_.height, c.scale, c.method, c.lambda}},
+        {"representation", {config_.representation, f.rotation, f.axes, f.answer, f.normalization, f.obstacles}},
+        {"window", {config_.window, config_.window_stride}},
+        {"input", ranges_json(loaded_.data.input_ranges)},
+        {"output", ranges_json(loaded_.data.output_ranges)},
+        {"frames", info.frames_complete},
+        {"frame_time_s", master().frame_time_s},
+        {"every_frames", stride_of(info)},
+        {"file", {std::filesystem::file_size(file, error), written}}};
     return Hash().add(content.dump()).value();
   }
 

@@ -22,6 +22,7 @@
 #include "common/features/channels.hpp"
 #include "services/superres/bundle/bundle.hpp"
 #include "services/superres/bundle/folder.hpp"
+#include "services/superres/networks/torch_threads.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/communicator.hpp"
 #include "services/superres/training/initial.hpp"
@@ -149,7 +150,7 @@ class Trainer {
                              " processes need as many windows a step");
     }
     const int processors = std::max(1, static_cast<int>(available_processors()) / hooks.processes);
-    at::set_num_threads(config.threads > 0 ? config.threads : processors);
+    set_torch_threads(config.threads > 0 ? config.threads : processors);
     micro_batch_ = config.micro_batch > 0 ? std::min(config.micro_batch, config.batch) : config.batch;
   }
 

@@ -28,6 +28,7 @@ Description describe_tokens(Options& options, const Ports& ports) {
   const int blocks = options.integer("blocks", 2, 0, 32);
   const bool spatial = options.flag("spatial", true), temporal = options.flag("temporal", true);
   const int history = options.integer("history", 0, 0, kMostHistory), values_each = ports.scale * ports.scale;
+  const bool inertia = options.flag("inertia", false);
   Description network(ports.inputs);
   std::vector<int> read{0};
   int recalled = -1;
@@ -56,7 +57,7 @@ Description describe_tokens(Options& options, const Ports& ports) {
   int carried = -1;
   if (history > 0) {
     carried = network.add({.name = "answer_carried",
-                           .inputs = {recalled},
+                           .inputs = inertia ? std::vector{recalled, 0} : std::vector{recalled},
                            .channels = ports.outputs * values_each,
                            .kernel = 1,
                            .exact = true,

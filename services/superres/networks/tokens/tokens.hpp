@@ -11,7 +11,9 @@ namespace pleat::superres {
 /// scale^2 values a channel for each. Options: features of a token, heads, blocks, hidden (width of the perceptrons),
 /// and the modules' switches, spatial and temporal. history: of so many of its own last answers the first three
 /// channels are read beside the input and added to the answer through a linear map (which begins at zero): what three
-/// coarse frames do not tell, for example how fast the fine cloth moves.
+/// coarse frames do not tell, for example how fast the fine cloth moves. inertia: that map reads the input, too: where
+/// the fine cloth would fly without forces is linear in its last two places and those of the coarse one, so that only
+/// what acts on it is left to the rest of the network.
 Description describe_tokens(Options& options, const Ports& ports);
 
 }  // namespace pleat::superres

@@ -167,8 +167,8 @@ TEST_P(EveryLayout, RigidMotionDoesNotShow) {
   const Pair other{moved(pair.coarse, turn, shift), moved(pair.fine, turn, shift)};
   const RigidTransform a = made_->align(pair.coarse.positions), b = made_->align(other.coarse.positions);
   Tensor one, two;
-  made_->encode(std::span(&pair.coarse, 1), a, one);
-  made_->encode(std::span(&other.coarse, 1), b, two);
+  made_->encode(std::span(&pair.coarse, 1), a, one, nullptr);
+  made_->encode(std::span(&other.coarse, 1), b, two, nullptr);
   ASSERT_EQ(one.shape, made_->input_shape());
   expect_same(one, two, made_->input_mask(), 2e-4f);
   made_->target(pair.coarse, pair.fine, a, one);
@@ -189,7 +189,7 @@ TEST_P(EveryLayout, BadInputIsRefused) {
   EXPECT_THROW(made_->decode(answer, pair.coarse.positions, {}, positions), Error);
   Frame wrong = pair.coarse;
   wrong.positions.conservativeResize(5, 3);
-  EXPECT_THROW(made_->encode(std::span(&wrong, 1), {}, input), Error);
+  EXPECT_THROW(made_->encode(std::span(&wrong, 1), {}, input, nullptr), Error);
   EXPECT_THROW(made_->target(pair.coarse, wrong, {}, answer), Error);
 }
 
@@ -216,8 +216,8 @@ TEST(Representation, CoarseEdgesHaveNoScale) {
   const Pair other{enlarged(pair.coarse), enlarged(pair.fine)};
   const RigidTransform a = one->align(pair.coarse.positions), b = two->align(other.coarse.positions);
   Tensor x, y;
-  one->encode(std::span(&pair.coarse, 1), a, x);
-  two->encode(std::span(&other.coarse, 1), b, y);
+  one->encode(std::span(&pair.coarse, 1), a, x, nullptr);
+  two->encode(std::span(&other.coarse, 1), b, y, nullptr);
   expect_same(x, y, one->input_mask(), 2e-3f);
   one->target(pair.coarse, pair.fine, a, x);
   two->target(other.coarse, other.fine, b, y);
@@ -273,17 +273,17 @@ TEST(Representation, AWindowHoldsTheOldestFrameFirst) {
   for (const float phase : {0.1f, 0.2f, 0.3f}) frames.push_back(test::wrinkled_frame(coarse, phase));
   const RigidTransform alignment = made->align(frames.back().positions);
   Tensor input, one;
-  made->encode(frames, alignment, input);
+  made->encode(frames, alignment, input, nullptr);
   EXPECT_EQ(input.shape[0], 27);
   ASSERT_EQ(input.channels.size(), 27u);
   EXPECT_EQ(input.channels[0], "displacement_x_2");
   EXPECT_EQ(input.channels[26], "velocity_z");
   for (std::size_t t = 0; t < 3; ++t) {
-    single->encode(std::span(&frames[t], 1), alignment, one);
+    single->encode(std::span(&frames[t], 1), alignment, one, nullptr);
     EXPECT_TRUE(std::equal(one.values.begin(), one.values.end(),
                            input.values.begin() + static_cast<std::ptrdiff_t>(t * one.values.size())));
   }
-  EXPECT_THROW(made->encode(std::span(frames).first(2), alignment, input), Error);
+  EXPECT_THROW(made->encode(std::span(frames).first(2), alignment, input, nullptr), Error);
   spec.window = kMaxWindow + 1;
   EXPECT_THROW(make_representation(coarse, spec), Error);
 }

@@ -254,7 +254,7 @@ TEST_F(ConversionServer, DetailComesBackAsTheMesh) {
   const auto library = make_representation(garment_.coarse, spec);
   const RigidTransform alignment = library->align(coarse.positions);
   Tensor expected;
-  library->encode(std::span(&coarse, 1), alignment, expected);
+  library->encode(std::span(&coarse, 1), alignment, expected, nullptr);
   const Tensor input = from_message(encoded.frame().image());
   ASSERT_EQ(input.values.size(), expected.values.size());
   for (std::size_t i = 0; i < input.values.size(); ++i) {
@@ -305,6 +305,37 @@ TEST_F(ConversionServer, AWindowNeedsItsFrames) {
   expect_refused(ErrorCode::kInvalidArgument, [](v1::ConversionSetup& s) {
     s.mutable_representation()->mutable_vertex_features()->set_rotation(static_cast<v1::VertexFeatures::Rotation>(7));
   });
+}
+
+TEST_F(ConversionServer, ObstaclesComeWithTheFrameWhereTheyAreRead) {
+  v1::Representation& wanted = *setup_.mutable_representation();
+  wanted.mutable_vertex_features()->set_obstacles(true);
+  wanted.set_subdivision_rounds(1);
+  const Frame coarse = test::wrinkled_frame(garment_.coarse, 0.4f);
+  ObstacleFrame ball;
+  ball.name = "ball";
+  ball.center = coarse.positions.row(3).transpose() + Eigen::Vector3f(0, 0, 0.06F);
+  ball.radius = 0.05F;
+  v1::ToImageRequest open = image_open(), request;
+  open.mutable_open()->add_obstacles()->set_name("ball");
+  *request.mutable_frame() = to_message(coarse);
+  const auto images = image_stream();
+  images->open(open);
+  images->push(request);  // where is the ball?
+  v1::ToImageResponse encoded;
+  ASSERT_TRUE(images->pop(&encoded));
+  EXPECT_THAT(encoded.error().message(), testing::HasSubstr("obstacles: 0 given"));
+  *request.add_obstacles() = to_message(ball);
+  images->push(request);
+  ASSERT_TRUE(images->pop(&encoded));
+  ASSERT_TRUE(encoded.has_frame()) << encoded.error().message();
+
+  const auto library = make_representation(garment_.coarse, spec_from(wanted, 4'000'000));
+  ObstacleField field({});
+  field.update(std::vector{ball});
+  Tensor expected;
+  library->encode(std::span(&coarse, 1), library->align(coarse.positions), expected, &field);
+  EXPECT_EQ(from_message(encoded.frame().image()).values, expected.values);
 }
 
 // The same of vertex features, with a window of two frames.

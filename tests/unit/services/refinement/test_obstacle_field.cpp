@@ -1,4 +1,4 @@
-#include "services/refinement/obstacle_field.hpp"
+#include "common/frame/obstacle_field.hpp"
 
 #include <gtest/gtest.h>
 

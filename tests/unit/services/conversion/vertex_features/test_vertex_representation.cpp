@@ -99,8 +99,8 @@ TEST(VertexRepresentation, TurnsAboutTheVerticalAxisAndShiftsDoNotShow) {
                                     frame_of(made->coarse(), 0.3F, turn, shift)};
   const RigidTransform a = made->align(frames.back().positions), b = made->align(moved.back().positions);
   Tensor one, two;
-  made->encode(frames, a, one);
-  made->encode(moved, b, two);
+  made->encode(frames, a, one, nullptr);
+  made->encode(moved, b, two, nullptr);
   EXPECT_EQ(one.shape[0], 2 * made->input_shape()[0]);
   EXPECT_EQ(one.channels.size(), static_cast<std::size_t>(one.shape[0]));
   EXPECT_EQ(one.channels.front(), "rotation_xy_corner0_1");
@@ -115,6 +115,68 @@ TEST(VertexRepresentation, TurnsAboutTheVerticalAxisAndShiftsDoNotShow) {
   EXPECT_EQ(make(spec_of(2, 1, fixed))->align(moved.back().positions).rotation, Eigen::Matrix3f::Identity());
 }
 
+ObstacleFrame ball_at(const Eigen::Vector3f& center, float radius) {
+  ObstacleFrame ball;
+  ball.name = "ball";
+  ball.center = center;
+  ball.radius = radius;
+  return ball;
+}
+
+TEST(VertexRepresentation, ObstaclesAreFeltWithinTwoEdgesAndPushAway) {
+  VertexFeatureSpec features;
+  features.obstacles = true;
+  const auto made = make(spec_of(1, 1, features)), blind = make(spec_of(1));
+  EXPECT_TRUE(made->reads_obstacles());
+  EXPECT_FALSE(blind->reads_obstacles());
+  const Topology& coarse = made->coarse();
+  double reach = 0;
+  const auto rings = test::rings_of(coarse);
+  for (const auto& e : rings->edges()) {
+    reach += 2 * static_cast<double>((coarse.rest_positions.row(e.a) - coarse.rest_positions.row(e.b)).norm());
+  }
+  reach /= static_cast<double>(rings->edges().size());
+  const Eigen::Matrix3f turn = Eigen::AngleAxisf(0.7F, Eigen::Vector3f::UnitY()).toRotationMatrix();
+  const Frame frame = frame_of(coarse, 0.1F, turn);
+  const Eigen::Vector3f center = frame.positions.row(6).transpose() + Eigen::Vector3f(0, -0.09F, 0);
+  ObstacleField field({});
+  field.update(std::vector{ball_at(center, 0.05F)});
+  const RigidTransform alignment = made->align(frame.positions);
+  Tensor input, without;
+  made->encode(std::span(&frame, 1), alignment, input, &field);
+  blind->encode(std::span(&frame, 1), alignment, without, &field);
+  ASSERT_EQ(input.shape[0], without.shape[0] + 12);
+  EXPECT_EQ(input.channels.back(), "obstacle_z_corner2");
+  const auto faces = static_cast<std::size_t>(coarse.face_count());
+  const std::size_t channels = input.channels.size() / 3;
+  std::size_t felt = 0;
+  for (std::size_t f = 0; f < faces; ++f) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto value = [&](std::size_t c) { return input.values[(k * channels + c) * faces + f]; };
+      for (std::size_t c = 0; c + 4 < channels; ++c) {
+        ASSERT_EQ(value(c), without.values[(k * (channels - 4) + c) * faces + f]);
+      }
+      const auto v = coarse.faces(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(k));
+      const Eigen::Vector3d away = (frame.positions.row(v).transpose() - center).cast<double>();
+      const double near = std::max(0.0, 1 - (away.norm() - static_cast<double>(ball_at(center, 0.05F).radius)) / reach);
+      felt += near > 0 ? 1 : 0;
+      ASSERT_NEAR(value(channels - 4), near, 1e-5);
+      const Eigen::Vector3d expected = near * (alignment.rotation.cast<double>() * away.normalized());
+      for (std::size_t c = 0; c < 3; ++c) {
+        ASSERT_NEAR(value(channels - 3 + c), expected[static_cast<Eigen::Index>(c)], 1e-5);
+      }
+    }
+  }
+  EXPECT_GT(felt, 0u);
+  EXPECT_LT(felt, 3 * faces);
+
+  // None, or one far away: zeros.
+  made->encode(std::span(&frame, 1), alignment, without, nullptr);
+  field.update(std::vector{ball_at({9, 9, 9}, 0.05F)});
+  made->encode(std::span(&frame, 1), alignment, input, &field);
+  EXPECT_EQ(input.values, without.values);
+}
+
 TEST(VertexRepresentation, InputsAreTheFeaturesOfTheCorners) {
   for (const RotationCode code : {RotationCode::kLogarithm, RotationCode::kQuaternion}) {
     VertexFeatureSpec features;
@@ -122,7 +184,7 @@ TEST(VertexRepresentation, InputsAreTheFeaturesOfTheCorners) {
     const auto made = make(spec_of(1, 1, features));
     const Frame frame = frame_of(made->coarse(), 0.1F);
     Tensor input;
-    made->encode(std::span(&frame, 1), made->align(frame.positions), input);
+    made->encode(std::span(&frame, 1), made->align(frame.positions), input, nullptr);
     const FeatureExtractor extractor(test::rings_of(made->coarse()), code);
     ExtractedFrame extracted;
     const RigidTransform alignment = made->align(frame.positions);
@@ -262,15 +324,15 @@ TEST(VertexRepresentation, BadInputIsNamedOrHandled) {
   bad.positions(7, 1) = kNaN;
   EXPECT_NE(std::string(test::error_of([&] { made->align(bad.positions); }).what()).find("vertex 7"),
             std::string::npos);
-  EXPECT_NE(
-      std::string(test::error_of([&] { made->encode(std::span(&bad, 1), alignment, input); }).what()).find("vertex 7"),
-      std::string::npos);
+  EXPECT_NE(std::string(test::error_of([&] { made->encode(std::span(&bad, 1), alignment, input, nullptr); }).what())
+                .find("vertex 7"),
+            std::string::npos);
   EXPECT_THROW(made->decode(answer, bad.positions, alignment, positions), Error);
   bad = coarse;
   bad.velocities(2, 0) = kNaN;
-  EXPECT_THROW(made->encode(std::span(&bad, 1), alignment, input), Error);
+  EXPECT_THROW(made->encode(std::span(&bad, 1), alignment, input, nullptr), Error);
   bad.velocities.resize(0, 3);  // none: at rest
-  made->encode(std::span(&bad, 1), alignment, input);
+  made->encode(std::span(&bad, 1), alignment, input, nullptr);
   for (const std::size_t channel : {std::size_t{0}, answer.channels.size() - 1}) {
     Tensor wrong = answer;
     wrong.values[channel * made->answer_mask().size()] = kNaN;
@@ -283,16 +345,16 @@ TEST(VertexRepresentation, BadInputIsNamedOrHandled) {
   EXPECT_THROW(made->decode(small, coarse.positions, alignment, positions), Error);
   Frame few = coarse;
   few.positions.conservativeResize(5, 3);
-  EXPECT_THROW(made->encode(std::span(&few, 1), alignment, input), Error);
+  EXPECT_THROW(made->encode(std::span(&few, 1), alignment, input, nullptr), Error);
   EXPECT_THROW(made->target(coarse, few, alignment, answer), Error);
-  EXPECT_THROW(made->encode({}, alignment, input), Error);
+  EXPECT_THROW(made->encode({}, alignment, input, nullptr), Error);
 
   // One-rings in one point, in one line, or inside out, and gradients of nonsense: finite all the same.
   for (const float scale : {0.0F, -1.0F}) {
     Frame collapsed = coarse;
     collapsed.positions.col(0) *= scale;
     if (scale == 0) collapsed.positions.col(2) *= 0;
-    made->encode(std::span(&collapsed, 1), made->align(collapsed.positions), input);
+    made->encode(std::span(&collapsed, 1), made->align(collapsed.positions), input, nullptr);
     for (const float value : input.values) ASSERT_TRUE(std::isfinite(value));
   }
   Tensor wild = answer;

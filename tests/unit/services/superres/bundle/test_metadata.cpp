@@ -80,6 +80,7 @@ TEST(Metadata, VertexFeaturesComeBack) {
   features.fixed_axes = true;
   features.passes = 0;
   features.anchor_weight = 0.5;
+  features.obstacles = true;
   m.representation.kind = features;
   m.representation.subdivision = {3};
   m.architecture = complete({"tokens", "{}"});
@@ -90,6 +91,7 @@ TEST(Metadata, VertexFeaturesComeBack) {
   EXPECT_TRUE(read.fixed_axes);
   EXPECT_EQ(read.passes, 0);
   EXPECT_EQ(read.anchor_weight, 0.5);
+  EXPECT_TRUE(read.obstacles);
   const Ports ports = ports_of(back);
   EXPECT_EQ(ports.scale, 7);
   EXPECT_EQ(ports.window, 3);

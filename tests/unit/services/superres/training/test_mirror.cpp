@@ -95,7 +95,7 @@ TEST_P(MirrorLayouts, TheMirroredClothHasTheMirroredPair) {
     Frame fine = frame_of(representation->fine(), bits, 0.4);
     const RigidTransform alignment = representation->align(frames[1].positions);
     Tensor input, answer;
-    representation->encode(frames, alignment, input);
+    representation->encode(frames, alignment, input, nullptr);
     representation->target(frames[1], fine, alignment, answer);
     const std::size_t size = input.values.size() / 2;
     for (std::size_t t = 0; t < 2; ++t) {

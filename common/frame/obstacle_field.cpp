@@ -1,4 +1,4 @@
-#include "services/refinement/obstacle_field.hpp"
+#include "common/frame/obstacle_field.hpp"
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -11,7 +11,7 @@
 #include "common/mesh/closest_points.hpp"
 #include "common/mesh/triangle_intersection.hpp"
 
-namespace pleat::refinement {
+namespace pleat {
 namespace {
 
 using Vec3 = Eigen::Vector3d;
@@ -448,4 +448,4 @@ bool ObstacleField::push_face_out(Positions& positions, const Faces& faces, std:
   return moved;
 }
 
-}  // namespace pleat::refinement
+}  // namespace pleat

@@ -12,7 +12,7 @@
 #include "common/mesh/bvh.hpp"
 #include "common/mesh/connectivity.hpp"
 
-namespace pleat::refinement {
+namespace pleat {
 
 /// The resolution below which a penetration is not one: about that of float positions at a few metres.
 inline constexpr double kPenetrationTolerance = 1e-6;
@@ -141,4 +141,4 @@ struct ObstacleField::Part {
   std::uint32_t nearest = kNone;  ///< face of the mesh that the last contact_near() found
 };
 
-}  // namespace pleat::refinement
+}  // namespace pleat
