@@ -32,6 +32,7 @@ std::vector<Command> add_eval(CLI::App& root);
 std::vector<Command> add_learn(CLI::App& root);
 std::vector<Command> add_bench(CLI::App& root);
 std::vector<Command> add_jobs(CLI::App& root);
+std::vector<Command> add_top(CLI::App& root);
 
 /// --tls-ca, --tls-certificate, --tls-key, --tls-server-name, --token-file: who we are to a coordinator.
 void add_tls_options(CLI::App& app, rpc::TlsOptions& tls);

@@ -75,7 +75,7 @@ int run_pleat(int argc, const char* const* argv) {
   root.require_subcommand(0, 1);
   std::vector<Command> commands;
   for (const auto add : {add_up, add_run, add_simulate, add_enhance, add_check, add_export, add_body, add_dress,
-                         add_dataset, add_learn, add_eval, add_bench, add_bridge, add_jobs, add_health})
+                         add_dataset, add_learn, add_eval, add_bench, add_bridge, add_jobs, add_top, add_health})
     for (Command& command : add(root)) commands.push_back(std::move(command));
   root.footer(kFooter);
   bool quiet = false, verbose = false;
