@@ -64,6 +64,7 @@ void visit(Visitor& v, Config& c) {
   v.section("history", [&] {
     v.range("frames", c.history.frames, 1, 256);
     v.range("share", c.history.share, 0, 1);
+    v.range("lead", c.history.lead, 0, 4096);
     v.range("starts", c.history.starts, 0, 1);
     v.range("noise", c.history.noise, 0, 10);
   });
@@ -232,7 +233,20 @@ class Writer {
   json* current_ = &document;
 };
 
+/// Whether its networks read their own last answers (docs/training.md).
+bool remembers(const Architecture& architecture) {
+  const json options = json::parse(architecture.options, nullptr, false);
+  return architecture.kind == "published" || (options.is_object() && options.value("history", json(0)) != json(0));
+}
+
 }  // namespace
+
+void check_remembering(const TrainConfig& config, const std::string& where) {
+  if (config.every_frames == 1 && config.patch == 0 && !config.mirror && config.losses.kinematic <= 0) return;
+  throw_invalid_argument(where +
+                         "key 'architecture': a network that remembers needs 'every_frames' = 1, 'patch' = 0, no "
+                         "'mirror' and 'losses.kinematic' = 0");
+}
 
 TrainConfig train_config_from_json(const std::string& text, const std::string& source) {
   json document;
@@ -277,6 +291,10 @@ TrainConfig train_config_from_json(const std::string& text, const std::string& s
                            ": keys 'losses.vertices', '.vertex_normals', '.edges' and '.wrinkles' need offsets, " +
                            "'vertex_features.answer' is 'features_alone'");
   }
+  if (config.mirror && config.images.layout == "positions") {
+    throw_invalid_argument(source + ": key 'mirror': places have no mirror image, 'images.layout' is 'positions'");
+  }
+  if (remembers(config.architecture)) check_remembering(config, source + ": ");
   if (config.autoencoders.epochs >= config.epochs) {
     throw_invalid_argument(source + ": key 'autoencoders.epochs' leaves none of the " + std::to_string(config.epochs) +
                            " 'epochs' for the rest");

@@ -40,6 +40,7 @@ struct FeaturesConfig {
 struct HistoryConfig {
   int frames = 8;       ///< consecutive frames of a window
   double share = 0.1;   ///< of the steps, in which a window's frames go on from the network's own answers
+  int lead = 0;         ///< frames before such a window, from which on the answers are its own, without gradients
   double starts = 0.1;  ///< of the windows, which are the first frames of a sequence
   double noise = 0.03;  ///< deviation of what is added to true answers in the others, in units of the memory's own
 };
@@ -132,6 +133,10 @@ struct TrainConfig {
   bool published_images() const { return representation == "geometry_image" && images.layout == "published"; }
   std::string initial;  ///< check-point or model bundle whose weights begin the training; empty: fresh weights
 };
+
+/// Throws kInvalidArgument, beginning with `where`, unless a network that reads its own last answers can learn this
+/// way.
+void check_remembering(const TrainConfig& config, const std::string& where = "");
 
 /// Reads JSON. An unknown key, an ill-typed value or one out of range is kInvalidArgument and names the key with its
 /// place, for example "optimizer.learning_rate"; text that is no JSON too.

@@ -147,7 +147,7 @@ void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const B
 }  // namespace
 
 void Batch::to(torch::Device device) {
-  for (auto* t : {&input, &answer, &mask, &rotations, &vertex_base, &axes, &before, &known}) {
+  for (auto* t : {&input, &answer, &mask, &rotations, &vertex_base, &axes, &before, &known, &lead, &lead_known}) {
     if (t->defined()) *t = t->to(device);
   }
 }

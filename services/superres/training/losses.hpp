@@ -24,6 +24,10 @@ struct Batch {
   /// For networks that remember R frames, else undefined: (B, R, C, H, W) the answers to the frames before each window,
   /// the oldest first, and (B, R) 0 for those that do not exist.
   torch::Tensor before, known;
+  /// For windows that go on from the network's own answers, else undefined: (B, L, T C + K, h, w) the inputs of the
+  /// frames before each of them, the oldest first, and (B, L) 0 for those that do not exist. `before` is then what was
+  /// before these.
+  torch::Tensor lead, lead_known;
   int frames = 1;  ///< F
 
   void to(torch::Device device);

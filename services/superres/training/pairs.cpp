@@ -94,4 +94,16 @@ void PairData::check() const {
   }
 }
 
+Ports ports_of(const PairData& data) {
+  data.check();
+  return {.inputs = data.sequences.front().input.channels() + data.constant_channels(),
+          .outputs = data.sequences.front().answer.channels(),
+          .scale = data.scale(),
+          .detail = data.detail(),
+          .window = data.representation.window,
+          .constants = data.constant_channels(),
+          .block = conversion::answer_form(data.representation).block,
+          .mesh = data.mesh};
+}
+
 }  // namespace pleat::superres

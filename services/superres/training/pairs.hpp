@@ -160,4 +160,7 @@ LoadedPairs load_pairs(
     const TrainConfig& config, const std::function<void(const std::string&)>& report,
     const std::function<bool()>& stopped = [] { return false; });
 
+/// What a network is put between.
+Ports ports_of(const PairData& data);
+
 }  // namespace pleat::superres

@@ -33,6 +33,17 @@ void Remembering::hold_autoencoders(int epoch, const Adam& adam) const {
   }
 }
 
+torch::Tensor Remembering::after_lead(const Batch& batch, torch::Tensor memory) const {
+  if (!batch.lead.defined()) return memory;
+  const torch::NoGradGuard no_grad;
+  for (std::int64_t l = 0; l < batch.lead.size(1); ++l) {
+    const auto left = network_.values({batch.lead.select(1, l), memory, {}}, {description().memory}, body_).front();
+    const auto known = batch.lead_known.select(1, l).view({-1, 1, 1, 1}) > 0;
+    memory = torch::where(known, network_.remember(memory, left), memory);
+  }
+  return memory;
+}
+
 torch::Tensor Remembering::answers(const Batch& batch, int epoch, int step, int first_window,
                                    torch::Tensor& codes) const {
   const std::int64_t windows = batch.known.size(0), remembered = batch.known.size(1), frames = batch.frames;
@@ -54,7 +65,7 @@ torch::Tensor Remembering::answers(const Batch& batch, int epoch, int step, int 
   torch::Tensor answers, own_codes;
   if (sampler_.is_free(epoch, step)) {
     const auto inputs = of_windows(batch.input, frames);
-    auto memory = line.slice(1, 0, remembered).flatten(1, 2);
+    auto memory = after_lead(batch, line.slice(1, 0, remembered).flatten(1, 2));
     std::vector<torch::Tensor> all, left;
     for (std::int64_t f = 0; f < frames; ++f) {
       const auto one = network_.values({inputs.select(1, f), memory, {}}, wanted, body_);

@@ -32,6 +32,8 @@ class Remembering {
   torch::Tensor answers(const Batch& batch, int epoch, int step, int first_window, torch::Tensor& codes) const;
 
  private:
+  /// What the network remembers before the windows of a batch, from what was before the frames that lead to them.
+  torch::Tensor after_lead(const Batch& batch, torch::Tensor memory) const;
   const Description& description() const { return network_.description(); }
 
   const TrainConfig& config_;

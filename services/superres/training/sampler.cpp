@@ -32,11 +32,7 @@ Sampler::Sampler(const TrainConfig& config, const PairData& data, int remembered
   data.check();
   frames_ = config.losses.kinematic > 0 ? config.losses.frames + 1 : 1;
   if (remembered > 0) {
-    if (config.every_frames > 1 || config.patch != 0 || config.mirror || config.losses.kinematic > 0) {
-      throw_invalid_argument(
-          "key 'architecture': a network that remembers needs 'every_frames' = 1, 'patch' = 0, no 'mirror' and "
-          "'losses.kinematic' = 0");
-    }
+    check_remembering(config);
     frames_ = config.history.frames;
   }
   scale_ = data.scale();
@@ -150,15 +146,29 @@ double Sampler::valid_texels(int epoch, int step) const {
   return count * frames_;
 }
 
-void Sampler::read_image(const PairSequence& sequence, std::size_t frame, const Cut& cut, Batch& batch,
-                         std::int64_t n) const {
+void Sampler::read_input(const PairSequence& sequence, std::size_t frame, const Cut& cut, torch::Tensor input) const {
   const int h = patch_height_, w = patch_width_;
-  auto input = batch.input[n], answer = batch.answer[n];
   sequence.input.read(frame, cut.row, cut.column, h, w, input.data_ptr<float>());
   if (constants_.defined()) {
     input.slice(0, sequence.input.channels())
         .copy_(constants_.slice(1, cut.row, cut.row + h).slice(2, cut.column, cut.column + w));
   }
+}
+
+void Sampler::read_lead(const Window& window, std::size_t frames, Batch& batch, std::int64_t n) const {
+  const auto lead = static_cast<std::size_t>(config_.history.lead);
+  for (std::size_t l = 0; l < frames; ++l) {
+    const auto place = static_cast<std::int64_t>(lead - frames + l);
+    read_input(data_.sequences[window.sequence], window.first - frames + l, {}, batch.lead[n][place]);
+    batch.lead_known[n][place] = 1.0F;
+  }
+}
+
+void Sampler::read_image(const PairSequence& sequence, std::size_t frame, const Cut& cut, Batch& batch,
+                         std::int64_t n) const {
+  const int h = patch_height_, w = patch_width_;
+  auto input = batch.input[n], answer = batch.answer[n];
+  read_input(sequence, frame, cut, input);
   if (mirror_) input.copy_(mirror_->input(input.clone(), cut.mirror));
   sequence.answer.read(frame, scale_ * cut.row, scale_ * cut.column, scale_ * h, scale_ * w, answer.data_ptr<float>());
   float* m = batch.mask[n].data_ptr<float>();
@@ -202,10 +212,22 @@ Batch Sampler::batch(int epoch, int step, int first_window, int last_window) con
     const std::int64_t count = last_window - first_window;
     batch.before = torch::zeros({count, remembered_, any.answer.channels(), scale_ * h, scale_ * w});
     batch.known = torch::zeros({count, remembered_});
+    if (config_.history.lead > 0 && is_free(epoch, step)) {
+      auto shape = batch.input.sizes().vec();
+      shape[0] = config_.history.lead;
+      shape.insert(shape.begin(), count);
+      batch.lead = torch::zeros(shape);
+      batch.lead_known = torch::zeros({count, config_.history.lead});
+    }
   }
   for (int index = first_window; index < last_window; ++index) {
     const Window& window = windows[static_cast<std::size_t>(index)];
-    if (remembered_ > 0) read_before(window, batch, index - first_window);
+    if (remembered_ > 0) {
+      const std::size_t lead =
+          batch.lead.defined() ? std::min(window.first, static_cast<std::size_t>(config_.history.lead)) : 0;
+      read_before({window.sequence, window.first - lead}, batch, index - first_window);
+      read_lead(window, lead, batch, index - first_window);
+    }
     const Cut cut = cut_of(epoch, step, index);
     for (int f = 0; f < frames_; ++f) {
       const auto n = static_cast<std::int64_t>(batch.mirrors.size());

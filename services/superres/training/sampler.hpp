@@ -54,7 +54,10 @@ class Sampler {
   std::vector<Window> windows_of(int epoch, int step) const;
   Cut cut_of(int epoch, int step, int window) const;
   void read_image(const PairSequence& sequence, std::size_t frame, const Cut& cut, Batch& batch, std::int64_t n) const;
+  void read_input(const PairSequence& sequence, std::size_t frame, const Cut& cut, torch::Tensor input) const;
   void read_before(const Window& window, Batch& batch, std::int64_t n) const;
+  /// The last of batch.lead: `frames` before a window.
+  void read_lead(const Window& window, std::size_t frames, Batch& batch, std::int64_t n) const;
   void read_vertices(std::size_t sequence, std::size_t frame, Batch& batch, std::int64_t n) const;
 
   const TrainConfig& config_;

@@ -69,19 +69,6 @@ std::string identity(const TrainConfig& config, const PairData& data) {
 
 constexpr std::size_t kMeasuredFrames = 256;
 
-/// What a network is put between.
-Ports ports_of(const PairData& data) {
-  data.check();
-  return {.inputs = data.sequences.front().input.channels() + data.constant_channels(),
-          .outputs = data.sequences.front().answer.channels(),
-          .scale = data.scale(),
-          .detail = data.detail(),
-          .window = data.representation.window,
-          .constants = data.constant_channels(),
-          .block = conversion::answer_form(data.representation).block,
-          .mesh = data.mesh};
-}
-
 torch::Tensor read_image(const ImageStore& store, std::size_t frame) {
   const auto image = torch::empty({1, store.channels(), store.height(), store.width()});
   store.read(frame, 0, 0, store.height(), store.width(), image.data_ptr<float>());

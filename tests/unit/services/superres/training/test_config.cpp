@@ -70,6 +70,9 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("architecture": {"kind": "gan"})")), HasSubstr("'gan'"));
   EXPECT_THAT(error_of(with(R"("architecture": 5)")), HasSubstr("'architecture' must be an object"));
   EXPECT_THAT(error_of(with(R"("images": {"layout": "detail"})")), HasSubstr("losses.kinematic"));
+  EXPECT_THAT(error_of(with(R"("images": {"layout": "positions"}, "losses": {"kinematic": 0}, "mirror": true)")),
+              HasSubstr("'mirror'"));
+  EXPECT_THAT(error_of(with(R"("architecture": {"kind": "tokens", "history": 2})")), HasSubstr("that remembers"));
   EXPECT_THAT(error_of(with(R"("window": 17)")), HasSubstr("'window'"));
   EXPECT_THAT(error_of(with(R"("window_stride": 0)")), HasSubstr("'window_stride'"));
   EXPECT_THAT(error_of(with(R"("images": {"coarse_width": 60})")), HasSubstr("coarse_height"));

@@ -3,12 +3,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 
 #include "common/base/error.hpp"
 #include "services/superres/engine.hpp"
+#include "services/superres/training/remembering.hpp"
 #include "services/superres/training/trainer.hpp"
 #include "tests/support/errors.hpp"
 #include "tests/support/temporary_folder.hpp"
@@ -151,6 +154,48 @@ TEST_P(HistoryTraining, LearnsOnItsOwnAnswers) {
   double first = 0, last = 0;
   for (std::size_t i = 0; i < 20; ++i) first += losses[i], last += losses[losses.size() - 1 - i];
   EXPECT_LT(last, 0.8 * first);
+}
+
+/// A window behind a lead from the sequence's beginning is a piece of the run on the network's own answers.
+TEST_P(HistoryTraining, ALongLeadIsTheWholeRun) {
+  TrainConfig c = config();
+  c.history.share = 1;
+  c.history.lead = 50;
+  c.autoencoders.epochs = 0;
+  const LoadedPairs pairs = load_pairs(c, quiet);
+  const PairData& data = pairs.data;
+  const Network network(describe(c.architecture, ports_of(data)), 7);
+  const Sampler sampler(c, data, network.description().remembered);
+  const Remembering remembering(c, network, sampler, torch::kFloat32);
+  const torch::NoGradGuard no_grad;
+  for (int step = 0; step < 3; ++step) {
+    const Batch batch = sampler.batch(0, step);
+    ASSERT_TRUE(batch.lead.defined());
+    torch::Tensor codes;
+    const auto answers = remembering.answers(batch, 0, step, 0, codes);
+    std::istringstream windows(sampler.describe(0, step));
+    std::string window;
+    for (std::int64_t w = 0; std::getline(windows >> std::ws, window, ','); ++w) {
+      const auto colon = window.find(':');
+      const auto sequence = std::find_if(data.sequences.begin(), data.sequences.end(),
+                                         [&](const PairSequence& s) { return s.name == window.substr(0, colon); });
+      ASSERT_NE(sequence, data.sequences.end());
+      const auto first = static_cast<std::size_t>(std::stoi(window.substr(colon + 1)));
+      const auto input = [&](std::size_t f) {
+        auto x = batch.input.slice(0, 0, 1).clone();  // with the constants
+        sequence->input.read(f, 0, 0, data.height(), data.width(), x.data_ptr<float>());
+        return x;
+      };
+      run_on_own_answers(network, first + 3, torch::kFloat32, input, [&](const torch::Tensor& answer, std::size_t f) {
+        if (f < first) return;
+        const auto own = answers[3 * w + static_cast<std::int64_t>(f - first)];
+        EXPECT_LT((own - answer[0]).abs().max().item<double>(), 1e-5) << window << " + " << f - first;
+      });
+    }
+  }
+  // Windows that read true answers have none, nor has a lead of nothing.
+  c.history.share = 0;
+  EXPECT_FALSE(Sampler(c, data, network.description().remembered).batch(0, 0).lead.defined());
 }
 
 TEST_P(HistoryTraining, FramesThatDoNotFollowEachOtherAreRefused) {
