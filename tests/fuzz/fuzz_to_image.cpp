@@ -13,6 +13,7 @@ void run(const std::vector<pleat::v1::ToImageRequest>& messages) {
     pleat::conversion::Session session(open.setup(), pleat::fuzz::conversion_limits(), cache);
     pleat::v1::ConversionOpened opened;
     session.describe(true, &opened);
+    session.add_obstacles(open.obstacles());
     for_frames([&](const pleat::v1::ToImageRequest& request) {
       pleat::v1::ImageFrame image;
       session.encode(request, &image);

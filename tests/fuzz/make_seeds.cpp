@@ -84,6 +84,31 @@ void conversion_seeds(const std::filesystem::path& folder) {
   setup.mutable_representation()->mutable_geometry_image();
   *own[1].mutable_frame() = to_message(frame_of(test::square_sheet(2, 1), 0, 0));
   write(folder / "to_image" / "own-fine-mesh", own);
+
+  // A network that reads where a ball and a tetrahedron are.
+  std::vector<v1::ToImageRequest> among(2);
+  v1::ToImageOpen& open = *among[0].mutable_open();
+  *open.mutable_setup()->mutable_coarse() = to_message(test::square_sheet(2, 1));
+  open.mutable_setup()->mutable_coarse()->clear_hash();
+  v1::Representation& features = *open.mutable_setup()->mutable_representation();
+  features.set_subdivision_rounds(1);
+  features.mutable_vertex_features()->set_obstacles(true);
+  *open.add_obstacles() = to_message(ObstacleShape{"ball", {}});
+  ObstacleShape solid;
+  solid.name = "solid";
+  solid.faces.resize(4, 3);
+  solid.faces << 0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3;
+  *open.add_obstacles() = to_message(solid);
+  *among[1].mutable_frame() = to_message(frame_of(test::square_sheet(2, 1), 0, 0));
+  ObstacleFrame ball, tetrahedron;
+  ball.name = "ball";
+  ball.radius = 0.3f;
+  tetrahedron.name = "solid";
+  tetrahedron.positions.resize(4, 3);
+  tetrahedron.positions << 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1;
+  *among[1].add_obstacles() = to_message(ball);
+  *among[1].add_obstacles() = to_message(tetrahedron);
+  write(folder / "to_image" / "among-obstacles", among);
 }
 
 // A stream that goes on, one that begins with a state, and one with a start.
