@@ -12,13 +12,13 @@
 #include "common/base/error.hpp"
 #include "common/base/random.hpp"
 #include "common/base/simd.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "services/fold/constraints.hpp"
 #include "services/fold/layers.hpp"
 #include "services/fold/levels.hpp"
 #include "services/fold/tracking.hpp"
 #include "services/fold/viscosity.hpp"
-#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
 namespace pleat::fold {

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "common/base/parallel.hpp"
-#include "common/mesh/mesh.hpp"
 #include "common/frame/obstacle_field.hpp"
+#include "common/mesh/mesh.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 
 namespace pleat::refinement {

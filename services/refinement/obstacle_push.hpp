@@ -4,9 +4,9 @@
 #include <optional>
 #include <vector>
 
+#include "common/frame/obstacle_field.hpp"
 #include "common/mesh/mesh.hpp"
 #include "services/refinement/cloth_contacts.hpp"
-#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 #include "services/refinement/smoothing_solver.hpp"
 

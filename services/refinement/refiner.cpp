@@ -7,9 +7,9 @@
 
 #include "common/base/checks.hpp"
 #include "common/base/error.hpp"
+#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/cloth_contacts.hpp"
 #include "services/refinement/impact_zones.hpp"
-#include "common/frame/obstacle_field.hpp"
 #include "services/refinement/obstacle_push.hpp"
 #include "services/refinement/self_intersection_finder.hpp"
 

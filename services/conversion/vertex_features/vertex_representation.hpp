@@ -14,9 +14,10 @@ namespace pleat::conversion {
 
 /// The places of all tensors are the F coarse faces. Input (3 C, 1, F): the C features of each corner, rotation and
 /// stretch of its one-ring, position about the centroid (m) and velocity (m/s), in the axes of the newest frame's
-/// heading; with spec().obstacles also how near the nearest obstacle of the newest frame is, 1 at its surface and 0 from
-/// two mean coarse edges on, and the direction away from it, as long as that. Answer (C', s, s F): a square of s x s values for each face, the first ones for the fine vertices in it
-/// (lattice order), the others padding. By AnswerKind:
+/// heading; with spec().obstacles also how near the nearest obstacle of the newest frame is, 1 at its surface and 0
+/// from two mean coarse edges on, and the direction away from it, as long as that. Answer (C', s, s F): a square of s x
+/// s values for each face, the first ones for the fine vertices in it (lattice order), the others padding. By
+/// AnswerKind:
 ///   kGradients      the fine vertex's offset from the upsampled coarse surface (m), and what its deformation gradient
 ///                   has more than that surface's, 6 channels where the fine rest mesh is flat, else 9. Decoding adds
 ///                   the offsets, then corrects the positions until they have the gradients, the coarse vertices as
