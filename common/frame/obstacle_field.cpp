@@ -439,8 +439,11 @@ bool ObstacleField::push_face_out(Positions& positions, const Faces& faces, std:
       const Vec3 a = point(positions, faces(face, 0)), b = point(positions, faces(face, 1)),
                  c = point(positions, faces(face, 2));
       const Vec3 weights = closest_on_triangle(q, a, b, c);
-      const double depth = (q - weights[0] * a - weights[1] * b - weights[2] * c).dot(normal);
-      if (depth <= 0) continue;
+      const Vec3 way = q - weights[0] * a - weights[1] * b - weights[2] * c;
+      // A corner farther away than the face is large does not stick through it: a face of the obstacle may be a wall.
+      const double size = std::max({(b - a).squaredNorm(), (c - b).squaredNorm(), (a - c).squaredNorm()});
+      const double depth = way.dot(normal);
+      if (depth <= 0 || way.squaredNorm() > size) continue;
       move_point(positions, faces, face, weights, (depth + 0.5 * clearance) * normal);
       moved = true;
     }

@@ -210,5 +210,23 @@ TEST(ObstacleField, BadObstaclesAreRefused) {
   EXPECT_THROW(update({}, {test::sphere("s", {0, 0, 0}, 1), test::sphere("s", {0, 0, 0}, 1)}), Error);
 }
 
+// A wall of two triangles has its corners half a metre away: they say nothing about a small face that reaches into it.
+TEST(ObstacleField, FarCornersOfLargeFacesDoNotThrowTheCloth) {
+  const auto cube = test::cube(0.5f);
+  const ObstacleShape shape{"box", cube.faces};
+  ObstacleField field(std::span(&shape, 1));
+  field.update(std::vector{mesh_frame("box", cube.positions)});
+  Faces faces(1, 3);
+  faces << 0, 1, 2;
+  const float top = cube.positions.col(1).maxCoeff();
+  for (const float depth : {0.001f, 0.009f}) {
+    Positions cloth(3, 3);
+    cloth << 0.1f, top - depth, 0.07f, 0.12f, top + 0.01f, 0.07f, 0.11f, top + 0.01f, 0.09f;
+    const Positions before = cloth;
+    for (int sweep = 0; sweep < 12; ++sweep) field.push_face_out(cloth, faces, 0, 2e-3);
+    EXPECT_LT((cloth - before).rowwise().norm().maxCoeff(), 0.04f) << depth;
+  }
+}
+
 }  // namespace
 }  // namespace pleat::refinement
