@@ -5,8 +5,10 @@
 #include <torch/script.h>
 #include <torch/torch.h>
 
+#include <span>
 #include <string>
 
+#include "services/superres/kernels/forward.hpp"
 #include "services/superres/networks/network.hpp"
 #include "services/superres/networks/registry.hpp"
 
@@ -64,6 +66,16 @@ inline Network make_network(const Description& description) {
     }
   }
   return network;
+}
+
+/// As the processor's own kernels ask for them.
+inline kernels::FindValues parameters_of(const Network& network) {
+  return [&network](const std::string& name) {
+    for (const auto& [key, value] : network.parameters()) {
+      if (key == name) return std::span<const float>(value.data_ptr<float>(), static_cast<std::size_t>(value.numel()));
+    }
+    return std::span<const float>();
+  };
 }
 
 inline torch::Tensor example_input(std::int64_t batch, std::int64_t channels, std::int64_t height, std::int64_t width) {

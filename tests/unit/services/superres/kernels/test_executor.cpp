@@ -9,15 +9,6 @@
 namespace pleat::superres {
 namespace {
 
-kernels::FindValues parameters_of(const Network& network) {
-  return [&network](const std::string& name) {
-    for (const auto& [key, value] : network.parameters()) {
-      if (key == name) return std::span<const float>(value.data_ptr<float>(), static_cast<std::size_t>(value.numel()));
-    }
-    return std::span<const float>();
-  };
-}
-
 /// The executor's answers to two images of which the last `constants` channels are constant.
 torch::Tensor answers(const Network& network, const kernels::ExecutorOptions& options, const torch::Tensor& x,
                       int constants, int channels) {

@@ -12,15 +12,6 @@ namespace {
 
 using kernels::TokenExecutor;
 
-kernels::FindValues parameters_of(const Network& network) {
-  return [&network](const std::string& name) {
-    for (const auto& [key, value] : network.parameters()) {
-      if (key == name) return std::span<const float>(value.data_ptr<float>(), static_cast<std::size_t>(value.numel()));
-    }
-    return std::span<const float>();
-  };
-}
-
 /// Answers to one image after the other, each from what the one before left; the last two channels are constant.
 std::vector<std::vector<float>> answers(const Network& network, int threads, const std::vector<torch::Tensor>& images,
                                         int channels, std::vector<float>& memory) {
