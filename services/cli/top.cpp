@@ -1,10 +1,10 @@
 #include "services/cli/top.hpp"
 
 #include <algorithm>
+#include <cstdio>
 #include <cstdlib>
 #include <limits>
 #include <optional>
-#include <set>
 #include <utility>
 
 namespace pleat::cli {

@@ -14,8 +14,8 @@
 namespace pleat::conversion {
 namespace {
 
-constexpr double kReachEdges = 2;    // mean coarse edges, in which obstacles are felt
-constexpr double kDepthEdges = 0.5;  // the same, in which the inside of a mesh is searched for its surface
+constexpr double kReachEdges = 2;     // mean coarse edges, in which obstacles are felt
+constexpr double kDepthShare = 0.25;  // of that, in which the inside of a mesh is searched for its surface
 
 /// A fine vertex by the coarse vertices that it is a mean of: (vertex, its share of 2^rounds), ascending, kNone last.
 using Share = std::pair<std::uint32_t, int>;
@@ -265,7 +265,7 @@ void VertexRepresentation::obstacle_features(const Frame& frame, const RigidTran
   if (obstacles == nullptr || obstacles->empty()) return;
   for (std::size_t v = 0; v < vertices; ++v) {
     const Eigen::Vector3d p = frame.positions.row(static_cast<Eigen::Index>(v)).cast<double>();
-    const auto contact = obstacles->contact_near(p, reach_, kDepthEdges / kReachEdges * reach_);
+    const auto contact = obstacles->contact_near(p, reach_, kDepthShare * reach_);
     if (!contact) continue;
     const double near = std::clamp(1 - contact->distance / reach_, 0.0, 2.0);
     const Eigen::Vector3f away = alignment.rotation * (near * contact->normal).cast<float>();
