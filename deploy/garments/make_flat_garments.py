@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Writes sheet.obj (81 vertices) and disk.obj (148 vertices): the flat garments of the sets SHEET and DISK.
+"""Writes sheet-289.obj, sheet.obj, sheet-25.obj and disk.obj: the flat garments of the sets SHEET and DISK.
 
-sheet: 1 m square, 9 x 9 vertices. disk: radius 0.6 m, 60 vertices on the rim and 88 on
+sheet: 1 m square, 17 x 17, 9 x 9 and 5 x 5 vertices. disk: 148 vertices, radius 0.6 m, 60 vertices on the rim and 88 on
 rings inside. Both lie flat in x and z, faces upwards, material coordinates (x, -z) in metres. Needs numpy.
 Usage: make_flat_garments.py FOLDER
 """
@@ -29,7 +29,7 @@ def upwards(points, faces):
     return np.where((area < 0)[:, None], faces, faces[:, ::-1])
 
 
-def sheet(side=9, length=1.0):
+def sheet(side, length=1.0):
     axis = np.linspace(0, length, side)
     points = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
     corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
@@ -63,7 +63,8 @@ def disk(counts=(60, 36, 26, 16, 9, 1), radii=(0.6, 0.505, 0.395, 0.275, 0.145, 
 
 def main():
     folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).parent)
-    write(folder / "sheet.obj", *sheet())
+    for name, side in (("sheet-289", 17), ("sheet", 9), ("sheet-25", 5)):
+        write(folder / f"{name}.obj", *sheet(side))
     write(folder / "disk.obj", *disk())
 
 

@@ -54,8 +54,10 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
                  "rad/s with which the averages follow; the higher, the more of a fold's place is in the coarse frame, "
                  "and the fewer folds there are (default: the set's; 7, skirt 20)")
       ->check(positive_number());
-  app.add_option("--rounds", choice.rounds,
-                 "2, 3 or 4: 16, 64 or 256 fine faces for each coarse one (default: 2; tshirt, pants: 3)")
+  app.add_option(
+         "--rounds", choice.rounds,
+         "2, 3 or 4: 16, 64 or 256 fine faces for each coarse one, for sheet by another coarse mesh (default: 2; disk, "
+         "tshirt, pants: 3)")
       ->check(positive_number());
   app.add_option("--frames", choice.frames, "frames a sequence, instead of the scale's")->check(positive_number());
   app.add_option(
@@ -120,7 +122,7 @@ GenerateOptions own_scenes_options(const GenerateChoice& choice) {
 
 GenerateOptions set_options(const GenerateChoice& choice) {
   const SetSize size = set_size(choice.set, choice.scale == "full");
-  const SetDefaults defaults = set_defaults(choice.set);
+  const SetDefaults defaults = set_defaults(choice.set, choice.rounds);
   GenerateOptions options;
   options.scenes.set = choice.set;
   options.scenes.train = choice.train >= 0 ? choice.train : size.train;

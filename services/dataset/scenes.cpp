@@ -126,22 +126,31 @@ SetSize set_size(const std::string& set, bool full) {
   return {10, 3, full ? 400 : 150};
 }
 
+std::string garment_of(const std::string& set, int rounds) {
+  if (set == "sheet") return rounds <= 2 ? "sheet-289" : rounds == 3 ? "sheet" : "sheet-25";
+  if (set == "disk") return "disk";
+  if (set == "skirt") return "long-skirt";
+  if (set == "tshirt") return "t-shirt";
+  if (set == "pants") return "trousers";
+  return "tablecloth";
+}
+
 bool is_free_set(const std::string& set) { return set == "sheet" || set == "disk"; }
 
 bool is_dressed_set(const std::string& set) { return set == "skirt" || set == "tshirt" || set == "pants"; }
 
-SetDefaults set_defaults(const std::string& set) {
+SetDefaults set_defaults(const std::string& set, int rounds) {
   SetDefaults defaults;
-  defaults.garment = is_free_set(set) ? "garments/" + set + ".obj" : "garments/tablecloth.obj";
+  if (set == "disk") defaults.rounds = 3;
   // The knit of the other sets stretches so far that a skirt slips over the hips (deploy/garments/README.md).
   defaults.material = is_dressed_set(set) ? "materials/isotropic-medium.json" : "materials/gray-interlock.json";
   defaults.tracked = !is_free_set(set);
-  if (set == "skirt") defaults.garment = "garments/long-skirt.obj";
   if (set == "tshirt" || set == "pants") {
-    defaults.garment = set == "tshirt" ? "garments/t-shirt.obj" : "garments/trousers.obj";
     defaults.rounds = 3;
     defaults.tracked = false;
   }
+  if (rounds > 0) defaults.rounds = rounds;
+  defaults.garment = "garments/" + garment_of(set, defaults.rounds) + ".obj";
   return defaults;
 }
 
@@ -181,7 +190,7 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     plan.scene.name = plan.name;
     plan.scene.material = material;
     plan.scene.seed = options.seed;
-    plan.scene.subdivision_rounds = options.rounds > 0 ? options.rounds : set_defaults(options.set).rounds;
+    plan.scene.subdivision_rounds = set_defaults(options.set, options.rounds).rounds;
     plan.tracked = options.tracked && !is_free_set(options.set);
     set_tracking(options, plan);
     plan.scene_json = scene_to_json(plan, options.garment, options.material);

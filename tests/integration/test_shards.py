@@ -13,7 +13,9 @@ import unittest
 
 PLEAT = pathlib.Path(sys.argv[1]).resolve()
 SEQUENCES = [f"sheet-{i:02}" for i in range(8)]
-SET = ["--set", "sheet", "--scale", "small", "--train", "6", "--test", "2", "--workers", "1"]
+GARMENT = pathlib.Path(__file__).resolve().parents[2] / "deploy/garments/sheet.obj"  # a small one
+SET = ["--set", "sheet", "--garment", GARMENT, "--rounds", "2", "--scale", "small", "--train", "6", "--test", "2",
+       "--workers", "1"]
 
 
 class Shards(unittest.TestCase):

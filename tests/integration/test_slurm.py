@@ -20,7 +20,8 @@ if missing := slurm_cluster.missing_programs():
 
 SOURCE, PLEAT, TRAIN = (pathlib.Path(argument).resolve() for argument in sys.argv[1:4])
 SEQUENCES = [f"sheet-{i:02}" for i in range(8)]
-SET = ["--set", "sheet", "--scale", "small", "--train", "6", "--test", "2"]
+GARMENT = SOURCE / "deploy/garments/sheet.obj"  # a small one
+SET = ["--set", "sheet", "--garment", str(GARMENT), "--rounds", "2", "--scale", "small", "--train", "6", "--test", "2"]
 
 
 class Slurm(unittest.TestCase):

@@ -2,9 +2,13 @@
 
 #include <gmock/gmock.h>
 
+#include <cmath>
 #include <set>
 #include <tuple>
+#include <utility>
 
+#include "common/mesh/garment.hpp"
+#include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "tests/unit/services/dataset/small_set.hpp"
 #ifdef PLEAT_HAVE_SCENE_FILE
@@ -23,8 +27,9 @@ class FlatSets : public SmallSet {
     options.scenes.train = size.train;
     options.scenes.test = size.test;
     options.scenes.frames = size.frames;
-    options.scenes.garment = options.scenes.material.parent_path().parent_path() / set_defaults(set).garment;
+    options.scenes.garment = deploy() / set_defaults(set).garment;
   }
+  std::filesystem::path deploy() const { return options.scenes.material.parent_path().parent_path(); }
 };
 
 TEST_F(FlatSets, SheetHasEveryShapeSizeAndStart) {
@@ -34,7 +39,7 @@ TEST_F(FlatSets, SheetHasEveryShapeSizeAndStart) {
   std::set<std::tuple<bool, bool, double>> train, test;
   for (const SequencePlan& plan : plans) {
     EXPECT_EQ(plan.scene.frames, 200);
-    EXPECT_EQ(plan.scene.garment.vertex_count(), 81);
+    EXPECT_EQ(plan.scene.garment.vertex_count(), 289);
     EXPECT_EQ(plan.scene.subdivision_rounds, 2);
     EXPECT_FALSE(plan.tracked);
     EXPECT_EQ(plan.scene.handles.at(0).vertices.size(), 2u);
@@ -52,6 +57,29 @@ TEST_F(FlatSets, SheetHasEveryShapeSizeAndStart) {
   EXPECT_EQ(test.size(), 4u);
 }
 
+// [DT-S] table 3 changes the coarse mesh and keeps the fine one.
+TEST_F(FlatSets, SheetsOfAllFactorsHaveOneFineMesh) {
+  const auto places = [](const Positions& p) {
+    std::set<std::tuple<long, long, long>> all;
+    for (Eigen::Index v = 0; v < p.rows(); ++v) {
+      all.insert({std::lround(1e4 * static_cast<double>(p(v, 0))), std::lround(1e4 * static_cast<double>(p(v, 1))),
+                  std::lround(1e4 * static_cast<double>(p(v, 2)))});
+    }
+    return all;
+  };
+  std::set<std::tuple<long, long, long>> first;
+  for (const auto& [rounds, coarse] : {std::pair{2, 289}, {3, 81}, {4, 25}}) {
+    std::vector<std::string> notes;
+    const Topology cloth = read_garment(deploy() / set_defaults("sheet", rounds).garment, notes);
+    EXPECT_EQ(cloth.vertex_count(), coarse);
+    const Topology fine = subdivide(cloth, rounds).fine;
+    EXPECT_EQ(fine.face_count(), 8192);
+    EXPECT_EQ(fine.vertex_count(), 4225);
+    if (first.empty()) first = places(fine.rest_positions);
+    EXPECT_EQ(places(fine.rest_positions), first);
+  }
+}
+
 TEST_F(FlatSets, DiskHasWindsOfItsWholeRange) {
   choose("disk", true);
   const auto plans = plan_sequences(options.scenes);
@@ -59,6 +87,7 @@ TEST_F(FlatSets, DiskHasWindsOfItsWholeRange) {
   double slowest = 1e9, fastest = 0;
   for (const SequencePlan& plan : plans) {
     EXPECT_EQ(plan.scene.garment.vertex_count(), 148);
+    EXPECT_EQ(plan.scene.subdivision_rounds, 3);
     EXPECT_EQ(plan.scene.handles.at(0).vertices.size(), 10u);
     const simulation::Wind& wind = plan.scene.wind;
     slowest = std::min(slowest, wind.velocity.norm());
@@ -107,7 +136,7 @@ TEST_F(FlatSets, SmallOnesAreMadeAndVerified) {
 TEST_F(FlatSets, ScenesOfTheFilesAreTheScenesThatWereSimulated) {
   for (const char* set : {"sheet", "disk"}) {
     choose(set, false);
-    const std::filesystem::path scenes = options.scenes.material.parent_path().parent_path() / "scenes";
+    const std::filesystem::path scenes = deploy() / "scenes";
     for (const SequencePlan& plan : plan_sequences(options.scenes)) {
       const auto read = simulation::scene_from_message(presentation::parse_scene(plan.scene_json, "scene", scenes));
       EXPECT_EQ(read.subdivision_rounds, plan.scene.subdivision_rounds);
