@@ -10,7 +10,7 @@
 #include "common/base/whole_file.hpp"
 #include "services/cli/command.hpp"
 #include "services/evaluation/bench.hpp"
-#include "services/evaluation/tables.hpp"
+#include "services/evaluation/tables/tables.hpp"
 
 namespace pleat::cli {
 namespace {
@@ -57,8 +57,7 @@ int tables(BenchChoice choice) {
   options.out = choice.options.out;
   if (options.draping.empty()) options.draping = larger("out/dataset/draping");
   if (options.hitting.empty()) options.hitting = larger("out/dataset/hitting");
-  if (options.sheet.empty()) options.sheet = larger("out/dataset/sheet");
-  if (options.disk.empty()) options.disk = larger("out/dataset/disk");
+  if (options.skirt.empty()) options.skirt = larger("out/dataset/skirt");
   make_writable_folder(options.out);
   const std::filesystem::path page = options.out / "tables.html";
   require_replaceable(page, kTablesMarks);
@@ -137,8 +136,11 @@ std::vector<Command> add_bench(CLI::App& root) {
   tables->add_option("--draping", choice->tables.draping,
                      "data set (default: out/dataset/draping-full, else out/dataset/draping)");
   tables->add_option("--hitting", choice->tables.hitting, "the same for HITTING");
-  tables->add_option("--sheet", choice->tables.sheet, "the same for SHEET");
-  tables->add_option("--disk", choice->tables.disk, "the same for DISK");
+  tables->add_option("--skirt", choice->tables.skirt, "the same for SKIRT");
+  for (const auto& [name, title] : evaluation::free_set_names()) {
+    tables->add_option("--" + name, choice->tables.free_sets[name], "data set " + title)
+        ->default_str("out/dataset/" + name);
+  }
   tables->add_option("--trained", choice->tables.trained, "folder of trainings")->capture_default_str();
   tables->add_option("--every", choice->tables.every, "of each test sequence every N-th frame is measured")
       ->capture_default_str()

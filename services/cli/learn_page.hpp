@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "services/evaluation/evaluation.hpp"
-#include "services/evaluation/tables.hpp"
+#include "services/evaluation/tables/tables.hpp"
 
 namespace pleat::cli {
 

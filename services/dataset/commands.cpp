@@ -48,7 +48,7 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
       ->needs(scenes);
   app.add_option("--fine", choice.fine,
                  "the fine cloth follows the coarse one, by averages (default) or by the paper's springs, or goes its "
-                 "own way (sheet, disk: always; tshirt, pants: the default)")
+                 "own way (the default of sheet, disk, tshirt and pants)")
       ->check(CLI::IsMember({"tracked", "springs", "free"}));
   app.add_option("--frequency", choice.frequency,
                  "rad/s with which the averages follow; the higher, the more of a fold's place is in the coarse frame, "

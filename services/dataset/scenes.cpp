@@ -191,7 +191,7 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     plan.scene.material = material;
     plan.scene.seed = options.seed;
     plan.scene.subdivision_rounds = set_defaults(options.set, options.rounds).rounds;
-    plan.tracked = options.tracked && !is_free_set(options.set);
+    plan.tracked = options.tracked;
     set_tracking(options, plan);
     plan.scene_json = scene_to_json(plan, options.garment, options.material);
   }

@@ -46,7 +46,7 @@ struct SetSize {
 /// at most 1,000 frames of each motion. Small: 150 frames each, or 60 (sheet, disk).
 SetSize set_size(const std::string& set, bool full);
 
-/// SHEET and DISK of [DT-S]: their fine cloth is always a simulation of its own.
+/// SHEET and DISK of [DT-S]: their fine cloth is a simulation of its own, unless told otherwise.
 bool is_free_set(const std::string& set);
 
 /// skirt, tshirt and pants: garments on a body that moves.
@@ -73,8 +73,7 @@ struct SceneOptions {
   int frames = 150;             ///< per sequence, the initial state included
   int rounds = 0;               ///< of edge splitting: 2, 3, 4 make 16, 64, 256 fine faces of one; 0: the set's
   std::uint64_t seed = 1;
-  bool tracked = true;             ///< the fine cloth follows the coarse one; false, and always false for sheet and
-                                   ///< disk: free fine simulations ([DT-S])
+  bool tracked = true;             ///< the fine cloth follows the coarse one; false: free fine simulations ([DT-S])
   bool springs = false;            ///< tracked as [MFSR] section 4.2 has it, instead of by averages
   double frequency = 0;            ///< rad/s, of averages; 0: the set's
   std::filesystem::path garment;   ///< OBJ or PLY with material coordinates

@@ -17,6 +17,12 @@
 namespace pleat::evaluation {
 namespace {
 
+simulation::Scene cut(const v1::Scene& message, std::size_t frames) {
+  simulation::Scene scene = simulation::scene_from_message(message);
+  scene.frames = static_cast<int>(frames + 1);  // frame 0 is the initial state and costs nothing
+  return scene;
+}
+
 constexpr double kTau = 6.283185307179586;
 
 /// Waves along the normals, in two directions of the material: wrinkles of known size, the same on every machine.
@@ -131,9 +137,11 @@ void visit_scene(const BenchOptions& options, const std::function<void(const Ref
 }  // namespace
 
 simulation::Scene load_bench_scene(const std::filesystem::path& file, std::size_t frames) {
-  simulation::Scene scene = simulation::scene_from_message(presentation::read_scene_file(file));
-  scene.frames = static_cast<int>(frames + 1);  // frame 0 is the initial state and costs nothing
-  return scene;
+  return cut(presentation::read_scene_file(file), frames);
+}
+
+simulation::Scene parse_bench_scene(const std::string& json, std::size_t frames) {
+  return cut(presentation::parse_scene(json, "scene", shipped_file("scenes")), frames);
 }
 
 FramePair wrinkled_pair(const Topology& coarse, const Subdivision& subdivision, double phase) {

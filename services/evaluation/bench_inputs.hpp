@@ -12,6 +12,7 @@
 #include "common/store/dataset.hpp"
 #include "services/evaluation/bench.hpp"
 #include "services/simulation/scene.hpp"
+#include "services/simulation/simulation.hpp"
 
 namespace pleat::evaluation {
 
@@ -22,6 +23,12 @@ struct FramePair {
 
 /// The scene of a file, `frames` frames long after the initial state.
 simulation::Scene load_bench_scene(const std::filesystem::path& file, std::size_t frames);
+
+/// The same of a data set's sequence, whose scene this is: its files are among the shipped ones.
+simulation::Scene parse_bench_scene(const std::string& json, std::size_t frames);
+
+/// The median time of `frames` frames of a data set's sequence, from its first one on. scene: its JSON.
+Figure frame_time(const std::string& scene, simulation::Mode mode, std::size_t frames);
 
 /// The coarse mesh bent over folds of 80 cm, and the fine one on it with wrinkles of 5 mm.
 FramePair wrinkled_pair(const Topology& coarse, const Subdivision& subdivision, double phase);

@@ -32,12 +32,16 @@ double milliseconds(const std::function<void()>& work) {
   return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 }
 
-Figure time_of_frames(const BenchOptions& options, Mode mode, std::size_t frames) {
-  simulation::Simulation simulation(load_bench_scene(scene_or(options, "draping"), frames), mode);
+Figure time_of_frames(const simulation::Scene& scene, Mode mode, std::size_t frames) {
+  simulation::Simulation simulation(scene, mode);
   simulation.next_frame();
   std::vector<double> ms;
   for (std::size_t k = 0; k < frames; ++k) ms.push_back(milliseconds([&] { simulation.next_frame(); }));
   return {median(ms), ms.size(), "ms"};
+}
+
+Figure time_of_frames(const BenchOptions& options, Mode mode, std::size_t frames) {
+  return time_of_frames(load_bench_scene(scene_or(options, "draping"), frames), mode, frames);
 }
 
 /// Round trips fine mesh -> image -> mesh over frames.
@@ -111,6 +115,10 @@ Figure coarse_frame_time(const BenchOptions& options) { return time_of_frames(op
 
 Figure tracked_frame_time(const BenchOptions& options) {
   return time_of_frames(options, Mode::kTrackedFine, options.frames);
+}
+
+Figure frame_time(const std::string& scene, Mode mode, std::size_t frames) {
+  return time_of_frames(parse_bench_scene(scene, frames), mode, frames);
 }
 
 Figures bench_simulation(const BenchOptions& options) {

@@ -27,6 +27,7 @@ class FlatSets : public SmallSet {
     options.scenes.train = size.train;
     options.scenes.test = size.test;
     options.scenes.frames = size.frames;
+    options.scenes.tracked = set_defaults(set).tracked;
     options.scenes.garment = deploy() / set_defaults(set).garment;
   }
   std::filesystem::path deploy() const { return options.scenes.material.parent_path().parent_path(); }

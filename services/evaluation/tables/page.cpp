@@ -5,7 +5,7 @@
 #include <sstream>
 
 #include "common/base/html.hpp"
-#include "services/evaluation/tables.hpp"
+#include "services/evaluation/tables/tables.hpp"
 #include "services/presentation/report/encode.hpp"
 
 namespace pleat::evaluation {
@@ -27,7 +27,7 @@ figcaption{font-size:.85rem;overflow-wrap:anywhere}.empty{width:228px;height:228
 )";
 
 constexpr const char* kTitle = R"(</style></head><body>
-<h1>The tables of the paper, printed and measured</h1>
+<h1>The tables of the papers, printed and measured</h1>
 )";
 
 /// Draws every canvas[data-mesh] from the meshes in `data`; dragging one turns all of its row.
@@ -258,6 +258,7 @@ std::string to_html(const PaperTables& tables) {
   write_curves(out, tables.figure13);
   write_pictures(out, "Fig. 11. Methods", tables.figure11, "m", data);
   write_pictures(out, "Fig. 12. Terms of the loss", tables.figure12, "l", data);
+  write_pictures(out, "[DT-S]. Methods on free simulations", tables.deform, "d", data);
   out << "<script>\nconst data = [\n" << data.str() << "];\n</script>\n" << kScript << "</body></html>\n";
   return out.str();
 }

@@ -3,9 +3,11 @@
 
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/mesh/mesh.hpp"
@@ -13,8 +15,8 @@
 namespace pleat::evaluation {
 
 struct TablesOptions {
-  std::filesystem::path draping, hitting;       ///< data sets
-  std::filesystem::path sheet, disk;            ///< those of [DT-S]
+  std::filesystem::path draping, hitting, skirt;                ///< data sets of [MFSR]
+  std::map<std::string, std::filesystem::path> free_sets = {};  ///< of [DT-S], by free_set_names(); out/dataset/NAME
   std::filesystem::path trained = "out/train";  ///< folders NAME with NAME.pt and log.csv, as pleat-train leaves them
   std::filesystem::path models;                 ///< shipped bundles; empty: default_models_folder()
   std::filesystem::path configurations = "deploy/models";  ///< of the commands that train
@@ -73,8 +75,12 @@ struct Convergence {
 struct PaperTables {
   std::vector<Table> tables;
   std::vector<PictureRow> figure11, figure12;
+  std::vector<PictureRow> deform;  ///< the methods of [DT-S] table 2 on each of its sets
   std::vector<Convergence> figure13;
 };
+
+/// The sets of [DT-S] (sheet, sheet-64, disk and so on; sheet-tracked beside them), and what tables call them.
+std::vector<std::pair<std::string, std::string>> free_set_names();
 
 /// Evaluates what there is. Throws what evaluation throws; a data set or bundle that is not there is no error.
 /// `progress` gets the frames done of all and what they belong to.
