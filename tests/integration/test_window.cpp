@@ -96,9 +96,10 @@ class WindowTest : public KilledServices {
   WindowTest() : KilledServices("tests/integration/models", "delayed", "deploy/scenes/draping.json") {}
 };
 
+/// A network that remembers: its last answers travel with the frames.
 class VertexFeaturesTest : public KilledServices {
  protected:
-  VertexFeaturesTest() : KilledServices("deploy/models", "sheet", "deploy/scenes/sheet.json") {}
+  VertexFeaturesTest() : KilledServices("deploy/models", "sheet-81", "tests/integration/scenes/sheet-81.json") {}
 };
 
 double rms(const Positions& a, const Positions& b) {

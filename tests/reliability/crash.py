@@ -18,13 +18,13 @@ from harness import WORK, common_pb2, coordinator_pb2, grpc
 
 JOB_LIMIT_S = 900
 DONE = coordinator_pb2.Job.STATE_DONE
-# Cloth, bundle and what makes the wrinkles. The fold step goes on from its last answer, and so does the bundle "sheet".
+# Cloth, bundle and what makes the wrinkles. The fold step goes on from its last answer, and so does the bundle "sheet-81".
 SET_UPS = {
     "fold": (harness.falling_cloth, "", common_pb2.DETAIL_FOLD),
     "network": (harness.falling_cloth, "draping", common_pb2.DETAIL_NETWORK),
     "both": (harness.falling_cloth, "draping", common_pb2.DETAIL_BOTH),
-    "network that remembers": (harness.falling_sheet, "sheet", common_pb2.DETAIL_NETWORK),
-    "both, remembering": (harness.falling_sheet, "sheet", common_pb2.DETAIL_BOTH),
+    "network that remembers": (harness.falling_sheet, "sheet-81", common_pb2.DETAIL_NETWORK),
+    "both, remembering": (harness.falling_sheet, "sheet-81", common_pb2.DETAIL_BOTH),
 }
 
 

@@ -126,7 +126,7 @@ def falling_cloth(frames, seed):
 
 
 def falling_sheet(frames, seed):
-    """The cloth of the data set SHEET, held by two corners."""
+    """The coarse sheet of 81 vertices, held by two corners."""
     return scene("sheet", "sheet", frames, seed, 0.02, [0, 72])
 
 
