@@ -98,7 +98,7 @@ std::vector<float> measure_deviation(const PairData& data) {
     for (std::size_t f = 0; f < sequence.answer.size(); ++f, ++index) {
       if (index % stride != 0) continue;
       const auto lack = (read_image(sequence.answer, f) - plain_answer(data, sequence, f)).contiguous();
-      measure.add({lack.data_ptr<float>(), static_cast<std::size_t>(lack.numel())}, data.answer_mask);
+      measure.add({lack.data_ptr<float>(), static_cast<std::size_t>(lack.numel())}, data.mesh_of(sequence).answer_mask);
     }
   }
   auto deviation = measure.moments().scale;
@@ -135,6 +135,9 @@ class Trainer {
     if (hooks.processes > config.batch) {
       throw_invalid_argument("key 'batch' = " + std::to_string(config.batch) + ": " + std::to_string(hooks.processes) +
                              " processes need as many windows a step");
+    }
+    if (data.meshes.size() > 1 && network_.description().remembers()) {
+      throw_invalid_argument("key 'architecture': a network that remembers needs sequences of one mesh");
     }
     const int processors = std::max(1, static_cast<int>(available_processors()) / hooks.processes);
     set_torch_threads(config.threads > 0 ? config.threads : processors);
@@ -216,13 +219,17 @@ class Trainer {
   }
 
   void set_constants() {
-    constants_.offset = torch::tensor(data_.output_ranges.offset).to(device_);
-    constants_.scale = torch::tensor(data_.output_ranges.scale).to(device_);
-    constants_.deviation = torch::tensor(measure_deviation(data_)).to(device_);
-    constants_.normal = find_frame_channels(data_.answer_channels, kNormalChannel);
-    constants_.velocity = find_frame_channels(data_.answer_channels, kVelocityChannel);
-    constants_.frame_time_s = data_.frame_time_s;
-    if (config_.losses.needs_vertices()) constants_.set_vertices(data_.mesh_read, device_);
+    LossConstants shared;
+    shared.offset = torch::tensor(data_.output_ranges.offset).to(device_);
+    shared.scale = torch::tensor(data_.output_ranges.scale).to(device_);
+    shared.deviation = torch::tensor(measure_deviation(data_)).to(device_);
+    shared.normal = find_frame_channels(data_.answer_channels, kNormalChannel);
+    shared.velocity = find_frame_channels(data_.answer_channels, kVelocityChannel);
+    shared.frame_time_s = data_.frame_time_s;
+    constants_.assign(data_.meshes.size(), shared);
+    for (std::size_t m = 0; config_.losses.needs_vertices() && m < data_.meshes.size(); ++m) {
+      constants_[m].set_vertices(data_.meshes[m].mesh_read, device_);
+    }
   }
 
   double learning_rate(std::int64_t step) const {
@@ -262,7 +269,7 @@ class Trainer {
     const auto synthesized = description().remembers()
                                  ? remembering_.answers(batch, state_.epoch, state_.step, begin, codes)
                                  : sampler_.unmirrored(network_.forward(batch.input, type_), batch);
-    Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
+    Losses losses = compute_losses(synthesized, batch, constants_[batch.mesh], config_.losses);
     if (codes.defined()) losses.total = losses.total + config_.losses.codes * codes;
     const auto parts =
         torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity, losses.kinematic,
@@ -281,7 +288,11 @@ class Trainer {
     for (;;) {
       auto values = torch::zeros({kShared}, torch::kFloat64);
       try {
-        for (int w = begin; w < end; w += micro_batch_) accumulate(w, std::min(w + micro_batch_, end), texels, values);
+        int first = begin;
+        for (const int last : sampler_.passes(state_.epoch, state_.step, begin, end, micro_batch_)) {
+          accumulate(first, last, texels, values);
+          first = last;
+        }
         return values;
       } catch (const Error&) {
         throw;
@@ -393,9 +404,9 @@ class Trainer {
                   report.learning_rate, report.total);
     std::string line = text;
     if (report.validated) {
-      std::snprintf(text, sizeof text, "  PSNR %.2f dB  VMSE %.3e m2  RMSE %.2f mm%s", report.psnr_db, report.vmse_m2,
-                    1e3 * std::sqrt(report.vmse_m2), report.best ? "  best" : "");
-      line += text;
+      std::snprintf(text, sizeof text, "  PSNR %.2f dB  VMSE %.3e m2  RMSE %.2f mm", report.psnr_db, report.vmse_m2,
+                    1e3 * std::sqrt(report.vmse_m2));
+      line += text + edges_text(report.rmse_edges) + (report.best ? "  best" : "");
     }
     say(line);
   }
@@ -432,8 +443,9 @@ class Trainer {
   /// that the answer does not have.
   torch::Tensor feature_errors(const torch::Tensor& image, std::size_t sequence, std::size_t frame) const {
     const auto& answer = data_.sequences[sequence].answer;
-    const auto mask = torch::from_blob(const_cast<std::uint8_t*>(data_.answer_mask.data()),
-                                       {1, 1, answer.height(), answer.width()}, torch::kUInt8)
+    const auto& valid = data_.mesh_of(data_.sequences[sequence]).answer_mask;
+    const auto mask = torch::from_blob(const_cast<std::uint8_t*>(valid.data()), {1, 1, answer.height(), answer.width()},
+                                       torch::kUInt8)
                           .to(torch::kFloat32);
     const auto error = (image - read_image(answer, frame)).square() * mask;
     auto result = torch::zeros({3}, torch::kFloat64);
@@ -447,7 +459,7 @@ class Trainer {
   }
 
   void measure_baseline() {
-    double plain = 0, barycentric = 0, vmse = 0, count = 0;
+    double plain = 0, barycentric = 0, vmse = 0, in_edges = 0, count = 0;
     for_validation_frames([&](std::size_t s, std::size_t f) {
       const auto& sequence = data_.sequences[s];
       plain += displacement_error(plain_answer(data_, sequence, f), s, f);
@@ -457,7 +469,9 @@ class Trainer {
         const auto image = torch::from_blob(const_cast<float*>(values.data()),
                                             {1, answer.channels(), answer.height(), answer.width()});
         barycentric += displacement_error(image, s, f);
-        vmse += judge_->barycentric_squared_error(s, f);
+        const double error = judge_->barycentric_squared_error(s, f);
+        vmse += error;
+        in_edges += error / square_of_edge(s);
       }
       count += 1;
     });
@@ -465,23 +479,36 @@ class Trainer {
     BaselineReport& b = result_.baseline;
     b.plain_psnr_db = decibel(plain / count);
     if (judge_ != nullptr) b.barycentric_psnr_db = decibel(barycentric / count), b.barycentric_vmse_m2 = vmse / count;
+    b.barycentric_rmse_edges = std::sqrt(in_edges / count);
     char text[256];
     std::snprintf(
         text, sizeof text,
         "validation on %.0f frames; without a network PSNR %.2f dB; barycentric mesh PSNR %.2f dB, VMSE %.3e m2, "
         "RMSE %.2f mm",
         count, b.plain_psnr_db, b.barycentric_psnr_db, b.barycentric_vmse_m2, 1e3 * std::sqrt(b.barycentric_vmse_m2));
-    say(text);
+    say(text + edges_text(b.barycentric_rmse_edges));
+  }
+
+  /// Of the sequence's coarse mesh; 1 where that is not known.
+  double square_of_edge(std::size_t sequence) const {
+    const double edge = data_.mesh_of(data_.sequences[sequence]).edge_m;
+    return edge > 0 ? edge * edge : 1;
+  }
+  /// What several meshes are compared by.
+  std::string edges_text(double rmse_edges) const {
+    if (data_.meshes.size() == 1 || judge_ == nullptr) return "";
+    char text[64];
+    std::snprintf(text, sizeof text, ", %.3f %% of an edge", 100 * rmse_edges);
+    return text;
   }
 
   /// (1, inputs, h, w)
   torch::Tensor validation_input(std::size_t s, std::size_t f) const {
-    auto input = read_image(data_.sequences[s].input, f);
+    const PairSequence& sequence = data_.sequences[s];
+    auto input = read_image(sequence.input, f);
     if (data_.constant_channels() > 0) {
-      input = torch::cat(
-          {input,
-           torch::tensor(data_.constants.values).view({1, data_.constant_channels(), data_.height(), data_.width()})},
-          1);
+      const auto constants = torch::tensor(data_.mesh_of(sequence).constants.values);
+      input = torch::cat({input, constants.view({1, -1, sequence.input.height(), sequence.input.width()})}, 1);
     }
     return input.to(device_);
   }
@@ -493,12 +520,15 @@ class Trainer {
       value.copy_(adam.average[i]);
     }
     auto errors = torch::zeros({3}, torch::kFloat64);
-    double mesh_error = 0, count = 0;
+    double mesh_error = 0, in_edges = 0, count = 0;
     const auto judge = [&](const torch::Tensor& answer, std::size_t s, std::size_t f) {
       const auto output = answer.to(torch::kCPU, torch::kFloat32).contiguous();
       errors += feature_errors(output, s, f);
       if (judge_ != nullptr) {
-        mesh_error += judge_->squared_error(s, f, {output.data_ptr<float>(), static_cast<std::size_t>(output.numel())});
+        const double error =
+            judge_->squared_error(s, f, {output.data_ptr<float>(), static_cast<std::size_t>(output.numel())});
+        mesh_error += error;
+        in_edges += error / square_of_edge(s);
       }
       count += 1;
     };
@@ -522,12 +552,14 @@ class Trainer {
     report.validated = true;
     const double image_error = errors[0].item<double>();
     report.psnr_db = decibel(image_error / count);
-    if (constants_.normal >= 0 && constants_.velocity >= 0) {
+    if (constants_.front().normal >= 0 && constants_.front().velocity >= 0) {
       report.psnr_normal_db = decibel(errors[1].item<double>() / count);
       report.psnr_velocity_db = decibel(errors[2].item<double>() / count);
     }
     report.vmse_m2 = mesh_error / count;
-    const double score = judge_ != nullptr ? report.vmse_m2 : image_error / count;
+    report.rmse_edges = std::sqrt(in_edges / count);
+    const double mesh_score = data_.meshes.size() > 1 ? in_edges / count : report.vmse_m2;
+    const double score = judge_ != nullptr ? mesh_score : image_error / count;
     if (!std::isfinite(score))
       throw Error(ErrorCode::kInternal, "validation error is not finite at epoch " + std::to_string(report.epoch));
     report.best = !remembering_.in_autoencoders(state_.epoch) && (state_.best_epoch < 0 || score < state_.best_score);
@@ -543,8 +575,8 @@ class Trainer {
     m.constants = data_.constant_channels();
     if (description().remembers()) m.input_size = {data_.height(), data_.width()};
     if (description().remembers()) m.memory = averaged_.description().memory_shape({data_.height(), data_.width()});
-    m.topology_hash = data_.topology_hash;
-    m.rest_positions = data_.rest_positions;
+    m.topology_hash = data_.meshes.front().topology_hash;
+    m.rest_positions = data_.meshes.front().rest_positions;
     if (config_.serves == "any") forget_mesh(m);
     m.float32_parameters = averaged_.float32_parameters();
     json training = json::parse(data_.description);
@@ -568,6 +600,10 @@ class Trainer {
       m.metrics["barycentric_psnr_db"] = result_.baseline.barycentric_psnr_db;
       m.metrics["barycentric_vmse_m2"] = result_.baseline.barycentric_vmse_m2;
       m.metrics["barycentric_rmse_m"] = std::sqrt(result_.baseline.barycentric_vmse_m2);
+      if (data_.meshes.size() > 1) {
+        m.metrics["rmse_edges"] = report.rmse_edges;
+        m.metrics["barycentric_rmse_edges"] = result_.baseline.barycentric_rmse_edges;
+      }
     }
     m.git_revision = hooks_.git_revision;
     m.parameters = averaged_.parameter_count();
@@ -590,7 +626,7 @@ class Trainer {
   bool stop_ = false;
   double shared_minutes_ = 0;
   std::vector<EpochReport> history_;
-  LossConstants constants_;
+  std::vector<LossConstants> constants_;  ///< of each mesh
   TrainState state_;
   TrainResult result_;
   double rate_ = 0;
