@@ -12,7 +12,6 @@
 #include "common/base/hash.hpp"
 #include "common/base/parallel.hpp"
 #include "common/features/frame_features.hpp"
-#include "common/mesh/connectivity.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/superres/training/frame_converter.hpp"
@@ -227,7 +226,6 @@ class Loader {
     one.topology_hash = topology_hash(coarse);
     one.rest_positions.assign(coarse.rest_positions.data(),
                               coarse.rest_positions.data() + coarse.rest_positions.size());
-    one.edge_m = mean_edge_length(coarse);
     one.answer_mask = representation.answer_mask();
     one.constants = representation.constants();
     one.sheet_axes = flat_sheet_axes(coarse);

@@ -90,7 +90,6 @@ using RotationRows = std::array<float, 3 * 3>;
 struct PairMesh {
   std::string topology_hash;              ///< of the coarse mesh
   std::vector<float> rest_positions;      ///< (V x 3) of the coarse mesh
-  double edge_m = 0;                      ///< mean edge of the coarse mesh at rest
   std::vector<std::uint8_t> answer_mask;  ///< (H W): 1 where a texel holds a value of its own
   Tensor constants;                       ///< (K, h, w), or without a shape
   MeshRead mesh_read;                     ///< for losses on vertices, else empty

@@ -106,6 +106,37 @@ std::vector<float> measure_deviation(const PairData& data) {
   return deviation;
 }
 
+/// By which the losses of each mesh are multiplied: the less detail it has the more, so that what can be known of a
+/// quiet garment is not lost beside a lively one. 1 of a single one.
+std::vector<double> mesh_weights(const PairData& data, const std::vector<float>& deviation) {
+  constexpr double kMost = 8;
+  constexpr std::size_t kFrames = 8;  // of a sequence
+  std::vector<double> squares(data.meshes.size(), 0), counts(data.meshes.size(), 0);
+  for (const PairSequence& sequence : data.sequences) {
+    if (sequence.validation) continue;
+    const auto& mask = data.mesh_of(sequence).answer_mask;
+    const std::size_t frames = sequence.answer.size(), stride = std::max<std::size_t>(1, frames / kFrames);
+    for (std::size_t f = stride / 2; f < frames; f += stride) {
+      const auto lack = (read_image(sequence.answer, f) - plain_answer(data, sequence, f)).contiguous();
+      const float* values = lack.data_ptr<float>();
+      for (std::size_t i = 0; i < static_cast<std::size_t>(lack.numel()); ++i) {
+        if (mask[i % mask.size()] == 0) continue;
+        squares[sequence.mesh] += std::pow(static_cast<double>(values[i] / deviation[i / mask.size()]), 2);
+        counts[sequence.mesh] += 1;
+      }
+    }
+  }
+  double mean = 0, known = 0;
+  for (std::size_t m = 0; m < squares.size(); ++m) {
+    if (counts[m] > 0) mean += squares[m] / counts[m], known += 1;
+  }
+  std::vector<double> weights(data.meshes.size(), 1);
+  for (std::size_t m = 0; known > 1 && m < weights.size(); ++m) {
+    if (squares[m] > 0) weights[m] = std::clamp(mean / known * counts[m] / squares[m], 1 / kMost, kMost);
+  }
+  return weights;
+}
+
 class Trainer {
  public:
   Trainer(const TrainConfig& config, const PairData& data, MeshJudge* judge, const TrainHooks& hooks)
@@ -222,7 +253,9 @@ class Trainer {
     LossConstants shared;
     shared.offset = torch::tensor(data_.output_ranges.offset).to(device_);
     shared.scale = torch::tensor(data_.output_ranges.scale).to(device_);
-    shared.deviation = torch::tensor(measure_deviation(data_)).to(device_);
+    const std::vector<float> deviation = measure_deviation(data_);
+    weights_ = mesh_weights(data_, deviation);
+    shared.deviation = torch::tensor(deviation).to(device_);
     shared.normal = find_frame_channels(data_.answer_channels, kNormalChannel);
     shared.velocity = find_frame_channels(data_.answer_channels, kVelocityChannel);
     shared.frame_time_s = data_.frame_time_s;
@@ -257,7 +290,7 @@ class Trainer {
   /// Losses of this process's windows, weighted by their share of the step's valid texels; gradients are added up.
   void accumulate(int begin, int end, double texels, torch::Tensor& values) {
     Batch batch = sampler_.batch(state_.epoch, state_.step, begin, end);
-    const double share = batch.mask.sum().item<double>() / texels;
+    const double share = weights_[batch.mesh] * batch.mask.sum().item<double>() / texels;
     batch.to(device_);
     if (remembering_.in_autoencoders(state_.epoch)) {
       const auto loss = remembering_.autoencoder_loss(batch);
@@ -406,7 +439,10 @@ class Trainer {
     if (report.validated) {
       std::snprintf(text, sizeof text, "  PSNR %.2f dB  VMSE %.3e m2  RMSE %.2f mm", report.psnr_db, report.vmse_m2,
                     1e3 * std::sqrt(report.vmse_m2));
-      line += text + edges_text(report.rmse_edges) + (report.best ? "  best" : "");
+      line += text;
+      std::snprintf(text, sizeof text, "  gain %.2f dB", report.gain_db);
+      if (data_.meshes.size() > 1 && judge_ != nullptr) line += text;
+      if (report.best) line += "  best";
     }
     say(line);
   }
@@ -459,7 +495,8 @@ class Trainer {
   }
 
   void measure_baseline() {
-    double plain = 0, barycentric = 0, vmse = 0, in_edges = 0, count = 0;
+    double plain = 0, barycentric = 0, vmse = 0, count = 0;
+    upsampling_errors_.assign(data_.sequences.size(), 0);
     for_validation_frames([&](std::size_t s, std::size_t f) {
       const auto& sequence = data_.sequences[s];
       plain += displacement_error(plain_answer(data_, sequence, f), s, f);
@@ -471,7 +508,7 @@ class Trainer {
         barycentric += displacement_error(image, s, f);
         const double error = judge_->barycentric_squared_error(s, f);
         vmse += error;
-        in_edges += error / square_of_edge(s);
+        upsampling_errors_[s] += error;
       }
       count += 1;
     });
@@ -479,27 +516,25 @@ class Trainer {
     BaselineReport& b = result_.baseline;
     b.plain_psnr_db = decibel(plain / count);
     if (judge_ != nullptr) b.barycentric_psnr_db = decibel(barycentric / count), b.barycentric_vmse_m2 = vmse / count;
-    b.barycentric_rmse_edges = std::sqrt(in_edges / count);
     char text[256];
     std::snprintf(
         text, sizeof text,
         "validation on %.0f frames; without a network PSNR %.2f dB; barycentric mesh PSNR %.2f dB, VMSE %.3e m2, "
         "RMSE %.2f mm",
         count, b.plain_psnr_db, b.barycentric_psnr_db, b.barycentric_vmse_m2, 1e3 * std::sqrt(b.barycentric_vmse_m2));
-    say(text + edges_text(b.barycentric_rmse_edges));
+    say(text);
   }
 
-  /// Of the sequence's coarse mesh; 1 where that is not known.
-  double square_of_edge(std::size_t sequence) const {
-    const double edge = data_.mesh_of(data_.sequences[sequence]).edge_m;
-    return edge > 0 ? edge * edge : 1;
-  }
-  /// What several meshes are compared by.
-  std::string edges_text(double rmse_edges) const {
-    if (data_.meshes.size() == 1 || judge_ == nullptr) return "";
-    char text[64];
-    std::snprintf(text, sizeof text, ", %.3f %% of an edge", 100 * rmse_edges);
-    return text;
+  /// The mean over the validation sequences of how far their errors, sums over the same frames, are below upsampling's.
+  double mean_gain_db(const std::vector<double>& errors) const {
+    constexpr double kNothing = 1e-12;  // m^2: a cloth that does not move
+    double sum = 0, count = 0;
+    for (std::size_t s = 0; s < errors.size(); ++s) {
+      if (!data_.sequences[s].validation) continue;
+      sum += 10 * std::log10((upsampling_errors_[s] + kNothing) / (errors[s] + kNothing));
+      count += 1;
+    }
+    return sum / count;
   }
 
   /// (1, inputs, h, w)
@@ -520,7 +555,8 @@ class Trainer {
       value.copy_(adam.average[i]);
     }
     auto errors = torch::zeros({3}, torch::kFloat64);
-    double mesh_error = 0, in_edges = 0, count = 0;
+    double mesh_error = 0, count = 0;
+    std::vector<double> sequence_errors(data_.sequences.size(), 0);
     const auto judge = [&](const torch::Tensor& answer, std::size_t s, std::size_t f) {
       const auto output = answer.to(torch::kCPU, torch::kFloat32).contiguous();
       errors += feature_errors(output, s, f);
@@ -528,7 +564,7 @@ class Trainer {
         const double error =
             judge_->squared_error(s, f, {output.data_ptr<float>(), static_cast<std::size_t>(output.numel())});
         mesh_error += error;
-        in_edges += error / square_of_edge(s);
+        sequence_errors[s] += error;
       }
       count += 1;
     };
@@ -557,8 +593,9 @@ class Trainer {
       report.psnr_velocity_db = decibel(errors[2].item<double>() / count);
     }
     report.vmse_m2 = mesh_error / count;
-    report.rmse_edges = std::sqrt(in_edges / count);
-    const double mesh_score = data_.meshes.size() > 1 ? in_edges / count : report.vmse_m2;
+    const bool several = data_.meshes.size() > 1 && judge_ != nullptr;
+    if (several) report.gain_db = mean_gain_db(sequence_errors);
+    const double mesh_score = several ? -report.gain_db : report.vmse_m2;
     const double score = judge_ != nullptr ? mesh_score : image_error / count;
     if (!std::isfinite(score))
       throw Error(ErrorCode::kInternal, "validation error is not finite at epoch " + std::to_string(report.epoch));
@@ -600,10 +637,7 @@ class Trainer {
       m.metrics["barycentric_psnr_db"] = result_.baseline.barycentric_psnr_db;
       m.metrics["barycentric_vmse_m2"] = result_.baseline.barycentric_vmse_m2;
       m.metrics["barycentric_rmse_m"] = std::sqrt(result_.baseline.barycentric_vmse_m2);
-      if (data_.meshes.size() > 1) {
-        m.metrics["rmse_edges"] = report.rmse_edges;
-        m.metrics["barycentric_rmse_edges"] = result_.baseline.barycentric_rmse_edges;
-      }
+      if (data_.meshes.size() > 1) m.metrics["gain_db"] = report.gain_db;
     }
     m.git_revision = hooks_.git_revision;
     m.parameters = averaged_.parameter_count();
@@ -626,7 +660,9 @@ class Trainer {
   bool stop_ = false;
   double shared_minutes_ = 0;
   std::vector<EpochReport> history_;
-  std::vector<LossConstants> constants_;  ///< of each mesh
+  std::vector<LossConstants> constants_;   ///< of each mesh
+  std::vector<double> weights_;            ///< of each mesh, of its losses
+  std::vector<double> upsampling_errors_;  ///< of each validation sequence, the sum over its frames, m^2
   TrainState state_;
   TrainResult result_;
   double rate_ = 0;

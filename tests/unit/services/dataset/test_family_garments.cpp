@@ -68,7 +68,7 @@ TEST(FamilyGarments, AreGarments) {
     spec.kind = conversion::GeometryImageSpec{.layout = conversion::ImageLayout::kDetail};
     EXPECT_NO_THROW(conversion::make_representation(mesh, spec));
   }
-  EXPECT_EQ(shapes.size(), 10u);
+  EXPECT_EQ(shapes.size(), 9u);
 }
 
 TEST(FamilyGarments, FollowFromTheSeed) {

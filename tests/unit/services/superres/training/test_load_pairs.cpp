@@ -154,8 +154,7 @@ TEST_F(LoadPairs, SequencesMayHaveMeshesOfTheirOwn) {
     const auto meshes = reader.meshes(sequence.name);
     EXPECT_EQ(sequence.mesh, s / 2);
     EXPECT_EQ(mesh.topology_hash, topology_hash(meshes->coarse));
-    EXPECT_NEAR(mesh.edge_m, mean_edge_length(meshes->coarse), 1e-12);
-    EXPECT_NEAR(mesh.mesh_read.unit_m, mesh.edge_m, 1e-6);
+    EXPECT_NEAR(mesh.mesh_read.unit_m, mean_edge_length(meshes->coarse), 1e-6);
     EXPECT_EQ(mesh.mesh_read.vertex_count(), meshes->fine.vertex_count());
     EXPECT_EQ(mesh.constants.shape[1], sequence.input.height());
     const auto height = sequence.answer.height(), width = sequence.answer.width();
