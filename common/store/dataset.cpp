@@ -89,6 +89,11 @@ store::Recording::Plan sequence_plan(const std::filesystem::path& folder, const 
   if (options.coarse_vertices <= 0 || options.fine_vertices <= 0) {
     throw_invalid_argument("sequence " + options.name + ": the meshes have no vertices");
   }
+  if (options.meshes && (options.meshes->coarse.vertex_count() != options.coarse_vertices ||
+                         options.meshes->fine.vertex_count() != options.fine_vertices ||
+                         topology_hash(options.meshes->fine) != options.topology_hash)) {
+    throw_invalid_argument("sequence " + options.name + ": its own meshes are others than it says");
+  }
   store::Recording::Plan plan;
   plan.path = sequence_path(folder, options.name);
   plan.frames = options.frames;
@@ -107,6 +112,7 @@ store::Recording::Plan sequence_plan(const std::filesystem::path& folder, const 
       << options.scene << '\n'
       << options.frames << '\n'
       << options.topology_hash << '\n';
+  if (options.meshes) key << "own " << topology_hash(options.meshes->coarse) << '\n';
   for (const store::Array& array : plan.arrays) {
     key << array.name;
     for (const hsize_t extent : array.row) key << ' ' << extent;
@@ -121,6 +127,7 @@ store::Recording::Plan sequence_plan(const std::filesystem::path& folder, const 
     file.set_attribute("/", "frames", options.frames);
     file.set_attribute("/", "topology_hash", options.topology_hash);
     store::write_obstacle_shapes(file, options.obstacles);
+    if (options.meshes) store::write_topologies(file, *options.meshes);
   };
   return plan;
 }
@@ -187,9 +194,23 @@ struct DatasetReader::State {
     const std::uint64_t complete = store::frames_complete(file);
     return {std::move(file), finished, complete};
   }
+
+  /// Of one of "coarse" and "fine". With hdf5::lock().
+  Eigen::Index vertices(const hdf5::File& file, const std::string& which) const {
+    if (!has_meshes(file)) return (which == "coarse" ? master.topology.coarse : master.topology.fine).vertex_count();
+    return static_cast<Eigen::Index>(file.extents("/topology/" + which + "/rest_positions", 2, 3 * kMaxVertices)[0]);
+  }
+  static bool has_meshes(const hdf5::File& file) { return file.exists("/topology"); }
+  std::vector<Positions> positions(const std::string& sequence, const std::string& which, std::uint64_t first,
+                                   std::uint64_t last) const {
+    const auto lock = hdf5::lock();
+    const Opened opened = open(sequence);
+    store::check_range(opened.file, first, last, opened.complete);
+    return store::read_positions(opened.file, "/" + which + "/positions", vertices(opened.file, which), first, last);
+  }
 };
 
-DatasetReader::DatasetReader(const std::filesystem::path& folder) : state_(std::make_unique<State>()) {
+DatasetReader::DatasetReader(const std::filesystem::path& folder) : state_(std::make_shared<State>()) {
   state_->folder = folder;
   const auto lock = hdf5::lock();
   const hdf5::File file = hdf5::File::open(folder / "dataset.h5", false);
@@ -254,6 +275,7 @@ std::vector<SequenceInfo> DatasetReader::sequences(
       info.topology_hash = opened.file.string_attribute("/", "topology_hash");
       info.frames_complete = opened.complete;
       info.finished = opened.finished;
+      info.own_meshes = State::has_meshes(opened.file);
       info.obstacles = store::read_obstacle_shapes(opened.file).shapes;
       infos.push_back(std::move(info));
     } catch (const Error& cause) {
@@ -265,17 +287,23 @@ std::vector<SequenceInfo> DatasetReader::sequences(
 
 std::vector<Positions> DatasetReader::coarse(const std::string& sequence, std::uint64_t first,
                                              std::uint64_t last) const {
-  const auto lock = hdf5::lock();
-  const State::Opened opened = state_->open(sequence);
-  store::check_range(opened.file, first, last, opened.complete);
-  return store::read_positions(opened.file, "/coarse/positions", topology().coarse.vertex_count(), first, last);
+  return state_->positions(sequence, "coarse", first, last);
 }
 
 std::vector<Positions> DatasetReader::fine(const std::string& sequence, std::uint64_t first, std::uint64_t last) const {
+  return state_->positions(sequence, "fine", first, last);
+}
+
+std::shared_ptr<const MeshPair> DatasetReader::meshes(const std::string& sequence) const {
   const auto lock = hdf5::lock();
   const State::Opened opened = state_->open(sequence);
-  store::check_range(opened.file, first, last, opened.complete);
-  return store::read_positions(opened.file, "/fine/positions", topology().fine.vertex_count(), first, last);
+  if (!State::has_meshes(opened.file)) return {state_, &state_->master.topology};
+  auto meshes = std::make_shared<MeshPair>(store::read_topologies(opened.file));
+  const std::string hash = opened.file.string_attribute("/", "topology_hash");
+  if (topology_hash(meshes->fine) != hash) {
+    throw_data_loss(opened.file.path().string() + ": its meshes are not those of topology_hash " + hash);
+  }
+  return meshes;
 }
 
 std::vector<double> DatasetReader::times(const std::string& sequence, std::uint64_t first, std::uint64_t last) const {

@@ -69,7 +69,9 @@ struct SequenceOptions {
   std::vector<ObstacleShape> obstacles;         ///< a shape without faces is a sphere
   std::vector<Eigen::Index> obstacle_vertices;  ///< per obstacle; 0 unless a mesh
   std::string topology_hash;                    ///< topology_hash of the fine mesh
-  bool deflate = false;                         ///< compress (shuffle + deflate 1) when finished, never while recording
+  /// The sequence's meshes where they are its own, which its file holds then; null: those of the master file.
+  std::shared_ptr<const MeshPair> meshes;
+  bool deflate = false;  ///< compress (shuffle + deflate 1) when finished, never while recording
 };
 
 /// Records FOLDER/sequences/NAME.h5 through NAME.h5.partial. Not thread-safe; one writer a file.
@@ -105,6 +107,7 @@ struct SequenceInfo {
   std::uint64_t frames = 0;  ///< planned
   bool finished = false;     ///< renamed from .partial
   std::string topology_hash;
+  bool own_meshes = false;  ///< its meshes are in its own file: DatasetReader::meshes
   std::vector<ObstacleShape> obstacles;
 };
 
@@ -118,7 +121,10 @@ class DatasetReader {
   ~DatasetReader();
 
   const DatasetMaster& master() const;
+  /// The meshes of all sequences that have none of their own.
   const MeshPair& topology() const { return master().topology; }
+  /// The meshes of a sequence, validated; what its file has must match its hash. May outlive the reader.
+  std::shared_ptr<const MeshPair> meshes(const std::string& sequence) const;
   const std::filesystem::path& folder() const;
 
   /// Every sequence of the master that has a file, finished or partial, in the master's order.
@@ -136,7 +142,7 @@ class DatasetReader {
 
  private:
   struct State;
-  std::unique_ptr<State> state_;
+  std::shared_ptr<State> state_;
 };
 
 }  // namespace pleat

@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""Writes sheet-289.obj, sheet.obj, sheet-25.obj and disk.obj: the flat garments of the sets SHEET and DISK.
+"""Writes sheet-289.obj, sheet.obj, sheet-25.obj and disk.obj, the flat garments of the sets SHEET and DISK, and
+irregular-square.obj (441 vertices), on which bundles for any garment are measured.
 
 sheet: 1 m square, 17 x 17, 9 x 9 and 5 x 5 vertices. disk: 148 vertices, radius 0.6 m, 60 vertices on the rim and 88 on
-rings inside. Both lie flat in x and z, faces upwards, material coordinates (x, -z) in metres. Needs numpy.
+rings inside. irregular-square: 0.8 m, 21 x 21 vertices that are moved by chance, quads cut along the
+shorter diagonal. All lie flat in x and z, faces upwards, material coordinates (x, -z) in metres. Needs numpy.
 Usage: make_flat_garments.py FOLDER
 """
 import pathlib
@@ -61,11 +63,29 @@ def disk(counts=(60, 36, 26, 16, 9, 1), radii=(0.6, 0.505, 0.395, 0.275, 0.145, 
     return points, upwards(points, np.array(faces))
 
 
+def irregular_square(side=21, length=0.8, jitter=0.3, seed=1):
+    points, _ = sheet(side, length)
+    step = length / (side - 1)
+    inside = np.all((points > 1e-9) & (points < length - 1e-9), axis=1)
+    points[inside] += np.random.default_rng(seed).uniform(-jitter, jitter, (inside.sum(), 2)) * step
+    faces = []
+    for i in range(side - 1):
+        for j in range(side - 1):
+            a = i * side + j
+            b, c, d = a + side, a + side + 1, a + 1
+            if np.linalg.norm(points[a] - points[c]) < np.linalg.norm(points[b] - points[d]):
+                faces += [(a, b, c), (a, c, d)]
+            else:
+                faces += [(a, b, d), (b, c, d)]
+    return points, upwards(points, np.array(faces))
+
+
 def main():
     folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).parent)
     for name, side in (("sheet-289", 17), ("sheet", 9), ("sheet-25", 5)):
         write(folder / f"{name}.obj", *sheet(side))
     write(folder / "disk.obj", *disk())
+    write(folder / "irregular-square.obj", *irregular_square())
 
 
 if __name__ == "__main__":

@@ -92,7 +92,8 @@ def main():
         everything = sequence["coarse/positions"][frames].reshape(-1, 3)
         low, high = everything.min(0), everything.max(0)
         for level, pictures in strip.items():
-            faces = master[f"topology/{level}/faces"][:].astype(int)
+            meshes = sequence if "topology" in sequence else master
+            faces = meshes[f"topology/{level}/faces"][:].astype(int)
             for frame in frames:
                 picture = Picture(low.astype(float), high.astype(float))
                 for obstacle in sequence.get("obstacles", {}).values():

@@ -33,10 +33,11 @@ void print(const VerifyReport& report) {
 
 void add_generate_options(CLI::App& app, GenerateChoice& choice) {
   CLI::Option* set = app.add_option("--set", choice.set, "built-in scenes");
-  set->capture_default_str()->check(CLI::IsMember({"draping", "hitting", "sheet", "disk", "skirt", "tshirt", "pants"}));
+  set->capture_default_str()->check(
+      CLI::IsMember({"draping", "hitting", "sheet", "disk", "skirt", "tshirt", "pants", kFamily}));
   app.add_option("--scale", choice.scale,
                  "frames a sequence; small: 150 or 60, full: the papers' 400 (draping), 1,000 (hitting) or 200 (sheet, "
-                 "disk), whole motions (skirt, tshirt, pants)")
+                 "disk), whole motions (skirt, tshirt, pants), 120 (family)")
       ->capture_default_str()
       ->check(CLI::IsMember({"small", "full"}));
   CLI::Option* scenes =
@@ -60,11 +61,13 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
          "tshirt, pants: 3)")
       ->check(positive_number());
   app.add_option("--frames", choice.frames, "frames a sequence, instead of the scale's")->check(positive_number());
-  app.add_option(
-         "--train", choice.train,
-         "sequences for training (default: draping 10, hitting 27, sheet 16, disk 8, skirt 5, tshirt and pants 18)")
+  app.add_option("--train", choice.train,
+                 "sequences for training (default: draping 10, hitting 27, sheet 16, disk 8, skirt 5, tshirt and pants "
+                 "18, family "
+                 "96)")
       ->check(natural_number());
-  app.add_option("--test", choice.test, "sequences for testing (default: draping 3, hitting 8, sheet 4, others 2)")
+  app.add_option("--test", choice.test,
+                 "sequences for testing (default: draping 3, hitting 8, sheet 4, family 12, others 2)")
       ->check(natural_number());
   app.add_option("--extra", choice.extra, "further sequences for training, behind the others, which stay the same")
       ->capture_default_str()
@@ -109,6 +112,28 @@ void require_no_set_options(const GenerateChoice& choice) {
   }
 }
 
+constexpr const char* kFamilyMaterials[] = {"silk",
+                                            "cotton-shirting",
+                                            "denim",
+                                            "felt",
+                                            "wool-suiting",
+                                            "gray-interlock",
+                                            "isotropic-light",
+                                            "isotropic-medium",
+                                            "isotropic-heavy",
+                                            "isotropic-latex"};
+
+void require_no_garment(const GenerateChoice& choice) {
+  const std::pair<const char*, bool> given[] = {{"--garment", !choice.garment.empty()},
+                                                {"--garment-scale", choice.garment_scale != 1},
+                                                {"--material", !choice.material.empty()},
+                                                {"--body", !choice.body.empty()},
+                                                {"--motions", !choice.motions.empty()}};
+  for (const auto& [name, is_given] : given) {
+    if (is_given) throw_invalid_argument(std::string(name) + " is not for the set family, which makes its own");
+  }
+}
+
 GenerateOptions own_scenes_options(const GenerateChoice& choice) {
   require_no_set_options(choice);
   GenerateOptions options;
@@ -130,6 +155,13 @@ GenerateOptions set_options(const GenerateChoice& choice) {
   options.scenes.extra = choice.extra;
   options.scenes.frames = choice.frames > 0 ? choice.frames : size.frames;
   options.scenes.tracked = choice.fine.empty() ? defaults.tracked : choice.fine != "free";
+  if (choice.set == kFamily) {
+    require_no_garment(choice);
+    for (const char* preset : kFamilyMaterials) {
+      options.scenes.materials.push_back(shipped_file("materials/" + std::string(preset) + ".json"));
+    }
+    return options;
+  }
   options.scenes.garment = choice.garment;
   if (choice.garment.empty()) options.scenes.garment = shipped_file(defaults.garment);
   options.scenes.garment_scale = choice.garment_scale;

@@ -31,7 +31,19 @@ simulation::Handle held(std::vector<std::uint32_t> vertices) {
   return handle;
 }
 
-// An upright prism on y = 0, normals outwards.
+// From side to side, `swing` away and back, from start_s until the end.
+void go_back_and_forth(simulation::Obstacle& obstacle, const Vector3d& swing, double start_s, double half_period_s,
+                       double duration_s) {
+  for (int k = 0; start_s + (k - 1) * half_period_s < duration_s; ++k) {
+    simulation::KeyFrame key;
+    key.time_s = start_s + k * half_period_s;
+    key.translation = k % 2 == 0 ? Vector3d(Vector3d::Zero()) : swing;
+    obstacle.motion.keys.push_back(key);
+  }
+}
+
+}  // namespace
+
 Topology cylinder() {
   constexpr auto kSides = static_cast<Eigen::Index>(kCylinderSides);
   Topology mesh;
@@ -55,18 +67,18 @@ Topology cylinder() {
   return mesh;
 }
 
-// From side to side, `swing` away and back, from start_s until the end.
-void go_back_and_forth(simulation::Obstacle& obstacle, const Vector3d& swing, double start_s, double half_period_s,
-                       double duration_s) {
-  for (int k = 0; start_s + (k - 1) * half_period_s < duration_s; ++k) {
-    simulation::KeyFrame key;
-    key.time_s = start_s + k * half_period_s;
-    key.translation = k % 2 == 0 ? Vector3d(Vector3d::Zero()) : swing;
-    obstacle.motion.keys.push_back(key);
+Topology box(const Eigen::Vector3d& sides) {
+  Topology mesh;
+  mesh.rest_positions.resize(8, 3);
+  for (Eigen::Index v = 0; v < 8; ++v) {
+    const Vector3d corner((v & 1) != 0 ? 0.5 : -0.5, (v & 2) != 0 ? 0.5 : -0.5, (v & 4) != 0 ? 0.5 : -0.5);
+    mesh.rest_positions.row(v) = corner.cwiseProduct(sides).cast<float>();
   }
+  mesh.faces.resize(12, 3);
+  mesh.faces << 0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7,
+      5;
+  return mesh;
 }
-
-}  // namespace
 
 simulation::Scene sheet_scene(const Topology& cloth, double duration_s, std::size_t index, Random& random) {
   simulation::Scene scene;

@@ -16,4 +16,10 @@ simulation::Scene sheet_scene(const Topology& cloth, double duration_s, std::siz
 /// 8 m/s from anywhere. The speeds of any first few sequences cover that range.
 simulation::Scene disk_scene(const Topology& cloth, std::size_t index, Random& random);
 
+/// An upright cylinder of 48 sides on y = 0, radius 0.3 m, height 0.7 m, normals outwards.
+Topology cylinder();
+
+/// A box about the origin, its sides' lengths in metres, normals outwards.
+Topology box(const Eigen::Vector3d& sides);
+
 }  // namespace pleat::dataset

@@ -9,7 +9,6 @@
 
 #include "common/base/error.hpp"
 #include "common/base/parallel.hpp"
-#include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/dataset/normalization.hpp"
 #include "services/dataset/sequence.hpp"
@@ -26,15 +25,13 @@ DatasetMaster make_master(const GenerateOptions& options, const std::vector<Sequ
   master.seed = options.scenes.seed;
   master.tracked = plans.front().tracked;
   master.git_revision = options.git_revision;
-  master.material = plans.front().material_json;
+  const auto same = [&](const SequencePlan& plan) { return plan.material_json == plans.front().material_json; };
+  if (std::all_of(plans.begin(), plans.end(), same)) master.material = plans.front().material_json;
   if (!options.scenes.material.empty()) {
     std::ifstream material(options.scenes.material, std::ios::binary);
     master.material.assign(std::istreambuf_iterator<char>(material), {});
   }
-  Subdivision subdivision = subdivide(scene.garment, scene.subdivision_rounds, scene.subdivision_rule);
-  master.topology.coarse = scene.garment;
-  master.topology.fine = std::move(subdivision.fine);
-  master.topology.feature_vertices = std::move(subdivision.feature_vertices);
+  master.topology = meshes_of(plans.front());
   return master;
 }
 
@@ -53,7 +50,10 @@ std::map<std::string, std::uint64_t> inspect_folder(const GenerateOptions& optio
   }
   for (const SequenceInfo& info : reader.sequences()) {
     const auto plan = std::find_if(plans.begin(), plans.end(), [&](const auto& p) { return p.name == info.name; });
-    if (plan == plans.end() || plan->scene_json != info.scene || plan->split != info.split) {
+    const auto other_meshes = [&] {
+      return plan->own_meshes && info.topology_hash != topology_hash(meshes_of(*plan).fine);
+    };
+    if (plan == plans.end() || plan->scene_json != info.scene || plan->split != info.split || other_meshes()) {
       throw Error(ErrorCode::kFailedPrecondition, options.folder.string() + ", sequence " + info.name + advice);
     }
     complete[info.name] = info.frames_complete;

@@ -1,6 +1,7 @@
 #include "services/dataset/normalization.hpp"
 
 #include <algorithm>
+#include <memory>
 #include <utility>
 
 #include "common/base/error.hpp"
@@ -10,7 +11,6 @@
 namespace pleat::dataset {
 
 ChannelRanges measure_range(const DatasetReader& reader, double margin) {
-  const MeshPair& meshes = reader.topology();
   const double frame_time = reader.master().frame_time_s;
   const std::vector<SequenceInfo> sequences = reader.sequences();
   const bool has_training =
@@ -20,6 +20,7 @@ ChannelRanges measure_range(const DatasetReader& reader, double margin) {
   FrameFeatures features;
   for (const SequenceInfo& sequence : sequences) {
     if (has_training && sequence.split != "train") continue;
+    const std::shared_ptr<const MeshPair> meshes = reader.meshes(sequence.name);
     Positions last_coarse, last_fine;
     for (std::uint64_t k = 0; k < sequence.frames_complete; ++k) {
       Frame coarse, fine;
@@ -27,10 +28,10 @@ ChannelRanges measure_range(const DatasetReader& reader, double margin) {
       fine.positions = std::move(reader.fine(sequence.name, k, k + 1).front());
       coarse.velocities = backward_velocities(coarse.positions, last_coarse, frame_time);
       fine.velocities = backward_velocities(fine.positions, last_fine, frame_time);
-      const RigidTransform alignment = kabsch(coarse.positions, meshes.coarse.rest_positions);
-      frame_features(coarse, meshes.coarse, alignment, scratch, features);
+      const RigidTransform alignment = kabsch(coarse.positions, meshes->coarse.rest_positions);
+      frame_features(coarse, meshes->coarse, alignment, scratch, features);
       measure.add(features);
-      frame_features(fine, meshes.fine, alignment, scratch, features);
+      frame_features(fine, meshes->fine, alignment, scratch, features);
       measure.add(features);
       last_coarse = std::move(coarse.positions);
       last_fine = std::move(fine.positions);

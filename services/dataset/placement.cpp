@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <limits>
 
+#include "common/base/error.hpp"
 #include "common/mesh/connectivity.hpp"
+#include "services/simulation/simulation.hpp"
 
 namespace pleat::dataset {
 
@@ -53,6 +55,16 @@ void add_next_highest(const Topology& cloth, std::size_t count, std::vector<std:
   for (const std::uint32_t v : others) {
     if (edge.size() >= count) return;
     edge.push_back(v);
+  }
+}
+
+std::string fault_of_start(const simulation::Scene& scene) {
+  try {
+    const simulation::Simulation started(scene, simulation::Mode::kCoarse);
+    return "";
+  } catch (const Error& error) {
+    if (error.code() != ErrorCode::kInvalidArgument) throw;
+    return error.what();
   }
 }
 

@@ -3,9 +3,11 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "common/mesh/mesh.hpp"
+#include "services/simulation/scene.hpp"
 
 namespace pleat::dataset {
 
@@ -21,6 +23,9 @@ std::vector<std::uint32_t> upper_edge(const Topology& cloth);
 
 /// Further vertices of an upper edge that has fewer than `count`: those next to the top.
 void add_next_highest(const Topology& cloth, std::size_t count, std::vector<std::uint32_t>& edge);
+
+/// Why the cloth can't start like this; empty: it can. Throws what Simulation throws, kInvalidArgument excepted.
+std::string fault_of_start(const simulation::Scene& scene);
 
 /// First `pitch` about x (the upper edge rises), then `roll` about z and `yaw` about y: axis times angle.
 Eigen::Vector3d tilt(double pitch_deg, double roll_deg, double yaw_deg);

@@ -16,6 +16,19 @@ nlohmann::ordered_json to_json(const Topology& mesh) {
   return json;
 }
 
+nlohmann::ordered_json to_json(const simulation::Motion& motion) {
+  nlohmann::ordered_json json = nlohmann::ordered_json::array();
+  for (const simulation::KeyFrame& key : motion.keys) {
+    nlohmann::ordered_json entry{{"timeS", key.time_s}, {"translation", to_array(key.translation)}};
+    if (const double angle = key.rotation.norm(); angle > 0) {
+      entry["axis"] = to_array(key.rotation / angle);
+      entry["angleDeg"] = angle / kDegree;
+    }
+    json.push_back(entry);
+  }
+  return json;
+}
+
 nlohmann::ordered_json to_json(const BodyMotion& motion) {
   nlohmann::ordered_json json;
   json["file"] = "../bodies/" + motion.body.filename().string();
@@ -34,7 +47,7 @@ std::string scene_to_json(const SequencePlan& plan, const std::filesystem::path&
   const simulation::Scene& scene = plan.scene;
   nlohmann::ordered_json json;
   json["name"] = scene.name;
-  json["garmentFile"] = "../garments/" + garment.filename().string();
+  if (!plan.own_meshes) json["garmentFile"] = "../garments/" + garment.filename().string();
   nlohmann::ordered_json placement;
   placement["translation"] = to_array(scene.transform.translation);
   const double angle = scene.transform.rotation.norm();
@@ -43,7 +56,12 @@ std::string scene_to_json(const SequencePlan& plan, const std::filesystem::path&
     placement["angleDeg"] = angle / kDegree;
   }
   json["placement"] = placement;
-  json["materialFile"] = "../materials/" + material.filename().string();
+  if (plan.material_json.empty()) {
+    json["materialFile"] = "../materials/" + material.filename().string();
+  } else {
+    json["materialJson"] = plan.material_json;
+  }
+  if (scene.damping_s > 0) json["materialOptions"]["dampingS"] = scene.damping_s;
   json["frameTimeS"] = scene.frame_time_s;
   json["stepsPerFrame"] = scene.steps_per_frame;
   json["frames"] = scene.frames;
@@ -55,12 +73,15 @@ std::string scene_to_json(const SequencePlan& plan, const std::filesystem::path&
   if (scene.tracking.frequency > 0) json["tracking"]["frequency"] = scene.tracking.frequency;
   if (scene.tracking.spring > 0) json["tracking"]["spring"] = scene.tracking.spring;
   if (scene.tracking.two_level) json["tracking"]["twoLevel"] = true;
+  if (scene.contact.friction != simulation::Contact().friction) json["friction"] = scene.contact.friction;
   if (scene.contact.obstacle_friction != simulation::Contact().obstacle_friction) {
     json["obstacleFriction"] = scene.contact.obstacle_friction;
   }
   if (!scene.wind.velocity.isZero()) json["wind"]["velocity"] = to_array(scene.wind.velocity);
   for (const simulation::Handle& handle : scene.handles) {
-    json["handles"].push_back({{"vertices", handle.vertices}, {"hard", handle.hard}});
+    nlohmann::ordered_json entry{{"vertices", handle.vertices}, {"hard", handle.hard}};
+    if (!handle.motion.keys.empty()) entry["motion"] = to_json(handle.motion);
+    json["handles"].push_back(entry);
   }
   for (const simulation::Obstacle& obstacle : scene.obstacles) {
     nlohmann::ordered_json entry;
@@ -74,9 +95,7 @@ std::string scene_to_json(const SequencePlan& plan, const std::filesystem::path&
           {{"a", to_array(capsule.a)}, {"b", to_array(capsule.b)}, {"radius", capsule.radius}});
     }
     if (obstacle.mesh.face_count() > 0) entry["mesh"] = to_json(obstacle.mesh);
-    for (const simulation::KeyFrame& key : obstacle.motion.keys) {
-      entry["motion"].push_back({{"timeS", key.time_s}, {"translation", to_array(key.translation)}});
-    }
+    if (!obstacle.motion.keys.empty()) entry["motion"] = to_json(obstacle.motion);
     json["obstacles"].push_back(entry);
   }
   return json.dump();

@@ -13,7 +13,6 @@
 #include "services/dataset/random.hpp"
 #include "services/presentation/input/scene_file.hpp"
 #include "services/simulation/scene_messages.hpp"
-#include "services/simulation/simulation.hpp"
 
 namespace pleat::dataset {
 namespace {
@@ -226,17 +225,6 @@ void require_same_cloth(const simulation::Scene& scene, const simulation::Scene&
   }
 }
 
-/// Why the cloth can't start like this; empty: it can.
-std::string fault_of_start(const simulation::Scene& scene) {
-  try {
-    const simulation::Simulation started(scene, simulation::Mode::kCoarse);
-    return "";
-  } catch (const Error& error) {
-    if (error.code() != ErrorCode::kInvalidArgument) throw;
-    return error.what();
-  }
-}
-
 v1::Scene varied(const Source& source, const Variation& v, double amount) {
   v1::Scene scene = source.message;
   vary_material(v, scene);
@@ -272,8 +260,7 @@ SequencePlan plan_of(v1::Scene message, const Source& source, const SceneOptions
 }
 
 SequencePlan vary(const Source& source, std::size_t number, const SceneOptions& options) {
-  const std::string text = std::to_string(number),
-                    name = source.message.name() + "-" + std::string(text.size() < 2 ? 1 : 0, '0') + text;
+  const std::string name = numbered(source.message.name(), number);
   const std::uint64_t seed = Hash().add(name + " " + std::to_string(options.seed)).value();
   const Variation v = draw(seed, static_cast<std::size_t>(source.message.obstacles_size()));
   double amount = 1;

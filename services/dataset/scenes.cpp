@@ -5,6 +5,7 @@
 #include "common/base/error.hpp"
 #include "common/mesh/garment.hpp"
 #include "services/dataset/dressed_sets.hpp"
+#include "services/dataset/family_set.hpp"
 #include "services/dataset/flat_sets.hpp"
 #include "services/dataset/placement.hpp"
 #include "services/dataset/random.hpp"
@@ -115,17 +116,7 @@ std::vector<SequencePlan> plan_flat(const SceneOptions& options, const Topology&
   return plans;
 }
 
-}  // namespace
-
-SetSize set_size(const std::string& set, bool full) {
-  if (set == "hitting") return {27, 8, full ? 1000 : 150};
-  if (set == "sheet") return {16, 4, full ? 200 : 60};
-  if (set == "disk") return {8, 2, full ? 200 : 60};
-  if (set == "skirt") return {5, 2, full ? 1000 : 150};
-  if (is_dressed_set(set)) return {18, 2, full ? 1000 : 150};
-  return {10, 3, full ? 400 : 150};
-}
-
+/// Of the shipped ones, its name.
 std::string garment_of(const std::string& set, int rounds) {
   if (set == "sheet") return rounds <= 2 ? "sheet-289" : rounds == 3 ? "sheet" : "sheet-25";
   if (set == "disk") return "disk";
@@ -135,12 +126,25 @@ std::string garment_of(const std::string& set, int rounds) {
   return "tablecloth";
 }
 
+}  // namespace
+
+SetSize set_size(const std::string& set, bool full) {
+  if (set == "hitting") return {27, 8, full ? 1000 : 150};
+  if (set == "sheet") return {16, 4, full ? 200 : 60};
+  if (set == "disk") return {8, 2, full ? 200 : 60};
+  if (set == "skirt") return {5, 2, full ? 1000 : 150};
+  if (is_dressed_set(set)) return {18, 2, full ? 1000 : 150};
+  if (set == kFamily) return {96, 12, full ? 120 : 60};
+  return {10, 3, full ? 400 : 150};
+}
+
 bool is_free_set(const std::string& set) { return set == "sheet" || set == "disk"; }
 
 bool is_dressed_set(const std::string& set) { return set == "skirt" || set == "tshirt" || set == "pants"; }
 
 SetDefaults set_defaults(const std::string& set, int rounds) {
   SetDefaults defaults;
+  if (set == kFamily) return defaults;
   if (set == "disk") defaults.rounds = 3;
   // The knit of the other sets stretches so far that a skirt slips over the hips (deploy/garments/README.md).
   defaults.material = is_dressed_set(set) ? "materials/isotropic-medium.json" : "materials/gray-interlock.json";
@@ -152,6 +156,11 @@ SetDefaults set_defaults(const std::string& set, int rounds) {
   if (rounds > 0) defaults.rounds = rounds;
   defaults.garment = "garments/" + garment_of(set, defaults.rounds) + ".obj";
   return defaults;
+}
+
+std::string numbered(const std::string& set, std::size_t number) {
+  const std::string text = std::to_string(number);
+  return set + "-" + std::string(text.size() < 2 ? 1 : 0, '0') + text;
 }
 
 void set_tracking(const SceneOptions& options, SequencePlan& plan) {
@@ -173,10 +182,11 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
     throw_invalid_argument("data set: at least one sequence is needed");
   }
   if (options.frames < 2) throw_invalid_argument("data set: at least 2 frames per sequence are needed");
+  if (options.set == kFamily) return plan_family(options);
   const bool dressed = is_dressed_set(options.set);
   if (options.set != "draping" && options.set != "hitting" && !is_free_set(options.set) && !dressed) {
     throw_invalid_argument("data set '" + options.set +
-                           "' is unknown; there are draping, hitting, sheet, disk, skirt, tshirt and pants");
+                           "' is unknown; there are draping, hitting, sheet, disk, skirt, tshirt, pants and family");
   }
   const Topology cloth = read_garment(options.garment, notes != nullptr ? *notes : unasked, options.garment_scale);
   require_rest_lengths(cloth, options.garment.string());
@@ -185,8 +195,7 @@ std::vector<SequencePlan> plan_sequences(const SceneOptions& options, std::vecto
       dressed ? plan_dressed(options, cloth, notes != nullptr ? *notes : unasked) : plan_flat(options, cloth);
   for (std::size_t i = 0; i < plans.size(); ++i) {
     SequencePlan& plan = plans[i];
-    const std::string number = std::to_string(i);
-    plan.name = options.set + "-" + std::string(number.size() < 2 ? 1 : 0, '0') + number;
+    plan.name = numbered(options.set, i);
     plan.scene.name = plan.name;
     plan.scene.material = material;
     plan.scene.seed = options.seed;

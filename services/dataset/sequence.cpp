@@ -14,6 +14,7 @@
 #include "common/base/error.hpp"
 #include "common/base/own_file.hpp"
 #include "common/base/whole_file.hpp"
+#include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "common/store/hdf5.hpp"
 #include "services/dataset/dressed_sets.hpp"
@@ -49,6 +50,7 @@ SequenceOptions options_of(const SequencePlan& plan, const simulation::Simulatio
   options.coarse_vertices = simulation.coarse().vertex_count();
   options.fine_vertices = simulation.fine().vertex_count();
   options.topology_hash = topology_hash(simulation.fine());
+  if (plan.own_meshes) options.meshes = std::make_shared<MeshPair>(meshes_of(plan));
   options.obstacles = simulation.obstacle_shapes();
   for (const simulation::Obstacle& obstacle : plan.scene.obstacles) {
     options.obstacle_vertices.push_back(obstacle.mesh.vertex_count());
@@ -109,6 +111,12 @@ SequencePlan complete(SequencePlan plan) {
 }
 
 }  // namespace
+
+MeshPair meshes_of(const SequencePlan& plan) {
+  const simulation::Scene& scene = plan.scene;
+  Subdivision subdivision = subdivide(scene.garment, scene.subdivision_rounds, scene.subdivision_rule);
+  return {scene.garment, std::move(subdivision.fine), std::move(subdivision.feature_vertices)};
+}
 
 fs::path sequence_file(const fs::path& folder, const std::string& name) {
   return folder / "sequences" / (name + ".h5");

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/store/dataset.hpp"
 #include "services/dataset/scenes.hpp"
 
 namespace pleat::dataset {
@@ -28,6 +29,9 @@ struct SequenceControl {
   /// written yet, takes none that counts with it. Later ones of an earlier process are made anew.
   bool durable = false;
 };
+
+/// What is simulated.
+MeshPair meshes_of(const SequencePlan& plan);
 
 /// FOLDER/sequences/NAME.h5, and what lies beside it while it is made, or instead of it when it was dropped.
 std::filesystem::path sequence_file(const std::filesystem::path& folder, const std::string& name);

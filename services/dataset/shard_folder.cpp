@@ -135,6 +135,11 @@ ShardPlan make_shard_plan(const std::vector<SequencePlan>& plans, const DatasetM
                               hash_of(sequence.scene_json)});
   }
   plan.topology_hash = topology_hash(master.topology.fine);
+  if (std::any_of(plans.begin(), plans.end(), [](const SequencePlan& p) { return p.own_meshes; })) {
+    Hash all;
+    for (const SequencePlan& sequence : plans) all.add(topology_hash(sequence.scene.garment));
+    plan.topology_hash = all.hex();
+  }
   plan.material_hash = hash_of(master.material);
   plan.seed = master.seed;
   plan.tracked = master.tracked;

@@ -36,7 +36,7 @@ struct ShardSequence {
 
 struct ShardPlan {
   std::vector<ShardSequence> sequences;  ///< in the set's order
-  std::string topology_hash;             ///< of the fine mesh
+  std::string topology_hash;             ///< of the fine mesh; where sequences have their own, of all coarse ones
   std::string material_hash;
   std::uint64_t seed = 0;
   bool tracked = true, deflate = true;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <memory>
 
 #include "common/base/error.hpp"
 #include "common/mesh/mesh.hpp"
@@ -24,7 +25,7 @@ nlohmann::json mesh_json(const Topology& topology) {
 class Verifier {
  public:
   Verifier(const std::filesystem::path& folder, const VerifyOptions& options)
-      : reader_(folder), options_(options), unmerged_(has_shards(folder)), meshes_(reader_.topology()) {
+      : reader_(folder), options_(options), unmerged_(has_shards(folder)) {
     report_.unmerged = unmerged_;
   }
 
@@ -77,12 +78,16 @@ class Verifier {
     const DatasetMaster& master = reader_.master();
     if (!(master.frame_time_s > 0) || !(master.time_step_s > 0)) problem("dataset.h5: times are not positive");
     if (master.sequences.empty()) problem("dataset.h5: no sequences");
-    for (std::size_t i = 0; i < meshes_.feature_vertices.size(); ++i) {
-      const auto fine = static_cast<Eigen::Index>(meshes_.feature_vertices[i]);
-      if (meshes_.fine.rest_positions.row(fine) != meshes_.coarse.rest_positions.row(static_cast<Eigen::Index>(i))) {
-        problem("dataset.h5: feature vertex " + std::to_string(i) + " is not its coarse vertex at rest");
-        break;
-      }
+    check_features("dataset.h5", reader_.topology());
+  }
+
+  void check_features(const std::string& where, const MeshPair& meshes) {
+    for (std::size_t i = 0; i < meshes.feature_vertices.size(); ++i) {
+      const auto fine = static_cast<Eigen::Index>(meshes.feature_vertices[i]);
+      if (meshes.fine.rest_positions.row(fine) == meshes.coarse.rest_positions.row(static_cast<Eigen::Index>(i)))
+        continue;
+      problem(where + ": feature vertex " + std::to_string(i) + " is not its coarse vertex at rest");
+      return;
     }
   }
 
@@ -92,12 +97,15 @@ class Verifier {
               " frames");
     }
     if (info.split != "train" && info.split != "test") problem(info.name + ": split is '" + info.split + "'");
-    if (info.topology_hash != topology_hash(meshes_.fine)) {
+    const std::shared_ptr<const MeshPair> own = reader_.meshes(info.name);
+    const MeshPair& meshes = *own;
+    if (info.topology_hash != topology_hash(meshes.fine)) {
       problem(info.name + ": made for mesh " + info.topology_hash);
       return;
     }
-    const Eigen::RowVector3f size = meshes_.coarse.rest_positions.colwise().maxCoeff().array() -
-                                    meshes_.coarse.rest_positions.colwise().minCoeff().array();
+    if (info.own_meshes) check_features(info.name, meshes);
+    const Eigen::RowVector3f size = meshes.coarse.rest_positions.colwise().maxCoeff().array() -
+                                    meshes.coarse.rest_positions.colwise().minCoeff().array();
     const double limit = 0.2 * static_cast<double>(size.norm());
     for (std::uint64_t k = 0; k < info.frames_complete; ++k) {
       const std::string where = info.name + ", frame " + std::to_string(k);
@@ -113,10 +121,10 @@ class Verifier {
         continue;
       }
       double largest = 0;
-      for (std::size_t i = 0; i < meshes_.feature_vertices.size(); ++i) {
-        const double distance = (fine.row(static_cast<Eigen::Index>(meshes_.feature_vertices[i])) -
-                                 coarse.row(static_cast<Eigen::Index>(i)))
-                                    .norm();
+      for (std::size_t i = 0; i < meshes.feature_vertices.size(); ++i) {
+        const double distance =
+            (fine.row(static_cast<Eigen::Index>(meshes.feature_vertices[i])) - coarse.row(static_cast<Eigen::Index>(i)))
+                .norm();
         largest = std::max(largest, distance);
         distance_sum_ += distance;
         ++distances_;
@@ -124,12 +132,12 @@ class Verifier {
       report_.feature_distance_max_m = std::max(report_.feature_distance_max_m, largest);
       if (reader_.master().tracked && largest > limit)
         problem(where + ": a feature vertex is " + std::to_string(largest) + " m off");
-      if (k % options_.stride == 0) judge(info, k, where, coarse, fine);
+      if (k % options_.stride == 0) judge(info, meshes, k, where, coarse, fine);
     }
   }
 
-  void judge(const SequenceInfo& info, std::uint64_t k, const std::string& where, const Positions& coarse,
-             const Positions& fine) {
+  void judge(const SequenceInfo& info, const MeshPair& meshes, std::uint64_t k, const std::string& where,
+             const Positions& coarse, const Positions& fine) {
     ++report_.frames_judged;
     const std::vector<ObstacleFrame> obstacles = reader_.obstacles(info.name, k, k + 1).front();
     const auto count = [&](const char* which, const Positions& positions, const Faces& faces) {
@@ -141,8 +149,8 @@ class Verifier {
         problem(where + ": " + which + " mesh has " + std::to_string(crossings) + " self-intersections");
       if (inside > 0) problem(where + ": " + which + " mesh has " + std::to_string(inside) + " penetrations");
     };
-    count("coarse", coarse, meshes_.coarse.faces);
-    count("fine", fine, meshes_.fine.faces);
+    count("coarse", coarse, meshes.coarse.faces);
+    count("fine", fine, meshes.fine.faces);
   }
 
   void check_normalization() {
@@ -169,7 +177,6 @@ class Verifier {
   DatasetReader reader_;
   VerifyOptions options_;
   bool unmerged_;
-  const MeshPair& meshes_;
   VerifyReport report_;
   double distance_sum_ = 0;
   std::uint64_t distances_ = 0;
@@ -200,6 +207,10 @@ nlohmann::json describe(const std::filesystem::path& folder) {
                                         {"frames", info.frames},
                                         {"frames_complete", info.frames_complete},
                                         {"finished", info.finished}});
+    if (!info.own_meshes) continue;
+    const std::shared_ptr<const MeshPair> meshes = reader.meshes(info.name);
+    description["sequences"].back()["coarse"] = mesh_json(meshes->coarse);
+    description["sequences"].back()["fine"] = mesh_json(meshes->fine);
   }
   for (const auto& [split, counts] : splits)
     description["splits"][split] = {{"sequences", counts.first}, {"frames", counts.second}};
@@ -226,7 +237,10 @@ std::vector<std::string> to_lines(const nlohmann::json& description) {
   for (const nlohmann::json& info : description.at("sequences")) {
     lines.push_back(info.at("name").get<std::string>() + ": " + info.at("split").get<std::string>() + ", " +
                     number(info.at("frames_complete")) + " of " + number(info.at("frames")) + " frames" +
-                    (info.at("finished") ? "" : ", not finished"));
+                    (info.at("finished") ? "" : ", not finished") +
+                    (info.contains("coarse") ? ", its own meshes: " + number(info.at("coarse").at("vertices")) +
+                                                   " and " + number(info.at("fine").at("vertices")) + " vertices"
+                                             : ""));
   }
   for (const auto& [split, counts] : description.at("splits").items()) {
     lines.push_back("split " + split + ": " + number(counts.at("sequences")) + " sequences, " +

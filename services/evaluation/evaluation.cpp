@@ -34,6 +34,12 @@ std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const s
     if (chosen.empty()) chosen = all;
   }
   if (chosen.empty()) throw_not_found(dataset.folder().string() + ": no sequence with frames");
+  const std::string hash = topology_hash(dataset.topology().fine);
+  for (const SequenceInfo& info : chosen) {
+    if (info.topology_hash == hash) continue;
+    throw_invalid_argument(dataset.folder().string() + ": sequence " + info.name +
+                           " has meshes of its own; figures are of sequences of one mesh");
+  }
   return chosen;
 }
 

@@ -53,7 +53,8 @@ struct EvaluationOptions {
   std::uint64_t every = 1;
 };
 
-/// The sequences with frames that are named, or those of the split "test", or all if there are none. Throws kNotFound.
+/// The sequences with frames that are named, or those of the split "test", or all if there are none. Throws kNotFound;
+/// kInvalidArgument for one of other meshes than the data set's.
 std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const std::vector<std::string>& names);
 
 /// Barycentric upsampling of the coarse frames. Throws kInvalidArgument if the data set's fine mesh is not the

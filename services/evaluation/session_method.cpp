@@ -13,13 +13,13 @@ namespace {
 
 // What the fold step has to know of a sequence's scene (services/dataset writes it).
 void add_scene(const MethodInput& input, client::EnhanceOptions& options) {
-  options.material_json = input.material;
   const auto scene = nlohmann::json::parse(input.scene, nullptr, false);
   try {
     for (const auto& handle : scene.value("handles", nlohmann::json::array())) {
       const auto vertices = handle.at("vertices").get<std::vector<std::uint32_t>>();
       options.held.insert(options.held.end(), vertices.begin(), vertices.end());
     }
+    options.material_json = scene.value("materialJson", input.material);
     const auto wind = scene.value("wind", nlohmann::json::object());
     if (wind.contains("velocity")) options.wind_m_s = wind["velocity"].get<std::array<double, 3>>();
   } catch (const nlohmann::json::exception&) {

@@ -270,6 +270,10 @@ ZurdoWrinkles train_zurdo(const DatasetReader& dataset, const ZurdoOptions& opti
   std::vector<std::pair<std::string, std::uint64_t>> frames;
   for (const SequenceInfo& sequence : dataset.sequences()) {
     if (sequence.split != "train") continue;
+    if (sequence.own_meshes) {
+      throw_invalid_argument(dataset.folder().string() + ": sequence " + sequence.name +
+                             " has meshes of its own; examples are of one mesh");
+    }
     for (std::uint64_t k = 0; k < sequence.frames_complete; ++k) frames.emplace_back(sequence.name, k);
   }
   if (frames.empty()) throw_not_found(dataset.folder().string() + ": no frames in the split 'train'");

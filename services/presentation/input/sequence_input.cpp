@@ -96,10 +96,10 @@ class DatasetSequence final : public FrameSequence {
  public:
   DatasetSequence(const fs::path& folder, const std::string& name, const Topology& rest)
       : reader_(folder), name_(name) {
-    check_vertex_count(reader_.topology().coarse.vertex_count(), rest, folder.string());
     for (SequenceInfo& info : reader_.sequences())
       if (info.name == name) info_ = std::move(info);
     if (info_.name.empty()) throw_not_found(folder.string() + " has no sequence '" + name + "'");
+    check_vertex_count(reader_.meshes(name)->coarse.vertex_count(), rest, folder.string());
   }
   std::size_t frame_count() const override { return info_.frames_complete; }
   Positions positions(std::size_t frame) const override {
@@ -163,7 +163,8 @@ RestMesh rest_of_frames(const std::vector<std::string>& sources, double scale, s
   if (sources.size() > 1) return read(numbered_files(sources)[0]);
   if (is_file && is_hdf5(path)) {
     if (const auto sequence = sequence_of_dataset(path))
-      return {sources[0], made_garment(DatasetReader(sequence->first).topology().coarse, sources[0], notes, scale)};
+      return {sources[0],
+              made_garment(DatasetReader(sequence->first).meshes(sequence->second)->coarse, sources[0], notes, scale)};
     if (is_result(path))
       return {sources[0], made_garment(ResultReader(path).info().topology.coarse, sources[0], notes, scale)};
   }

@@ -3,6 +3,8 @@
 #include <cstdio>
 #include <filesystem>
 #include <limits>
+#include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 
@@ -24,6 +26,7 @@ namespace {
 using nlohmann::json;
 
 constexpr std::size_t kMeasuredFrames = 256;
+constexpr std::size_t kMeasuredOfSequence = 6;
 constexpr double kPublishedRange = 0.95;  ///< to whose positive and negative [acap] maps its features
 constexpr float kDetailLimit = 6;         ///< folds have curvatures far beyond the deviation
 
@@ -88,6 +91,29 @@ bool in_validation(const TrainConfig& config, const SequenceInfo& sequence) {
 
 json ranges_json(const ChannelRanges& ranges) { return {ranges.offset, ranges.scale, ranges.limit}; }
 
+/// A coarse mesh and its fine one, with what conversion makes of them.
+class LoadedMesh {
+ public:
+  LoadedMesh(const TrainConfig& config, std::shared_ptr<const MeshPair> pair)
+      : pair_(std::move(pair)), spec_(make_spec(config, *pair_)) {}
+
+  const MeshPair& pair() const { return *pair_; }
+  /// Made when it is asked for.
+  const std::shared_ptr<const conversion::Representation>& representation() const {
+    if (!representation_) representation_ = conversion::make_representation(pair_->coarse, spec_);
+    return representation_;
+  }
+  /// The fit of fine images alone takes tens of megabytes, which hundreds of meshes have no room for.
+  void release() const { representation_.reset(); }
+
+  PairFileKey key;  ///< without content and frames
+
+ private:
+  std::shared_ptr<const MeshPair> pair_;
+  conversion::RepresentationSpec spec_;
+  mutable std::shared_ptr<const conversion::Representation> representation_;
+};
+
 /// One training: what load_pairs() does, step by step.
 class Loader {
  public:
@@ -96,38 +122,38 @@ class Loader {
       : config_(config),
         report_(report),
         reader_(config.dataset),
-        representation_(
-            conversion::make_representation(master().topology.coarse, make_spec(config, master().topology))),
         pool_(static_cast<std::size_t>(config.threads)),
-        converter_(reader_, *representation_, pool_, stopped) {}
+        stopped_(stopped) {}
 
   LoadedPairs run() {
     find_sequences();
     describe_data();
     check_size();
     measure_ranges();
-    auto meshes = std::make_shared<FrameMeshes>(representation_, loaded_.data.output_ranges);
-    for (const SequenceInfo& info : usable_) load(info, *meshes);
+    auto meshes = std::make_shared<FrameMeshes>(loaded_.data.output_ranges);
+    for (const Usable& one : usable_) load(one, *meshes);
     PairData& data = loaded_.data;
     if (data.sequences.empty()) throw_invalid_argument(config_.dataset + ": no sequences with frames");
-    data.description = json{
-        {"dataset", std::filesystem::path(config_.dataset).filename().string()},
-        {"dataset_git_revision", master().git_revision},
-        {"dataset_seed", master().seed},
-        {"frame_time_s", master().frame_time_s},
-        {"frames", frames_},
-        {"sequences",
-         names_}}.dump();
+    json description{{"dataset", std::filesystem::path(config_.dataset).filename().string()},
+                     {"dataset_git_revision", master().git_revision},
+                     {"dataset_seed", master().seed},
+                     {"frame_time_s", master().frame_time_s},
+                     {"frames", frames_},
+                     {"sequences", names_}};
+    if (meshes_.size() > 1) description["meshes"] = meshes_.size();
+    data.description = description.dump();
     data.check();
-    if (config_.losses.needs_vertices()) {
-      data.mesh_read = make_mesh_read(*representation_);
-      if (!config_.published_images()) data.geometry = meshes;
-    }
+    if (config_.losses.needs_vertices() && !config_.published_images()) data.geometry = meshes;
     loaded_.judge = std::make_unique<FrameJudge>(meshes);
     return std::move(loaded_);
   }
 
  private:
+  struct Usable {
+    SequenceInfo info;
+    std::size_t mesh = 0;
+  };
+
   const DatasetMaster& master() const { return reader_.master(); }
   std::size_t stride_of(const SequenceInfo& sequence) const {
     return static_cast<std::size_t>(in_validation(config_, sequence) ? 1 : config_.every_frames);
@@ -145,9 +171,10 @@ class Loader {
     const auto all = reader_.sequences(
         [&](const std::string& name, const Error& error) { skip("sequence " + name + ": " + error.what()); });
     const std::string hash = topology_hash(reader_.topology().fine);
+    std::map<std::string, std::size_t> known;  // fine meshes
     for (const SequenceInfo& sequence : all) {
       if (sequence.split != "train" && !in_validation(config_, sequence)) continue;
-      if (sequence.topology_hash != hash) {
+      if (!sequence.own_meshes && sequence.topology_hash != hash) {
         throw_invalid_argument(config_.dataset + ": sequence " + sequence.name + " has another mesh (" +
                                sequence.topology_hash + ") than the data set (" + hash + ")");
       }
@@ -156,58 +183,98 @@ class Loader {
              std::to_string(sequence.frames) + " frames were recorded");
         continue;
       }
-      if (sequence.frames_complete > 0) usable_.push_back(sequence);
+      if (sequence.frames_complete == 0) continue;
+      const auto [found, is_new] = known.try_emplace(sequence.topology_hash, meshes_.size());
+      if (is_new) meshes_.emplace_back(config_, reader_.meshes(sequence.name));
+      usable_.push_back({sequence, found->second});
     }
-    if (std::none_of(usable_.begin(), usable_.end(), [&](const auto& s) { return !in_validation(config_, s); })) {
+    if (std::none_of(usable_.begin(), usable_.end(), [&](const auto& s) { return !in_validation(config_, s.info); })) {
       throw_invalid_argument(config_.dataset + ": no finished sequence to train on (split 'train')");
     }
     for (const std::string& name : config_.validation.sequences) {
-      if (std::none_of(usable_.begin(), usable_.end(), [&](const auto& s) { return s.name == name; })) {
+      if (std::none_of(usable_.begin(), usable_.end(), [&](const auto& s) { return s.info.name == name; })) {
         throw_not_found(config_.dataset + ": key 'validation.sequences' names " + name +
                         ", which does not exist or can't be used");
       }
     }
-    for (const SequenceInfo& sequence : usable_) frames_ += frames_of(sequence);
+    if (meshes_.size() > 1 && config_.serves != "any") {
+      throw_invalid_argument(config_.dataset + ": its sequences have " + std::to_string(meshes_.size()) +
+                             " meshes, which needs key 'serves' = 'any'");
+    }
+    for (const Usable& one : usable_) frames_ += frames_of(one.info);
   }
 
   void describe_data() {
     PairData& data = loaded_.data;
-    data.representation = representation_->spec();
-    data.input_channels = representation_->input_channels();
-    data.answer_channels = representation_->answer_channels();
-    data.constants = representation_->constants();
-    data.mesh = make_mesh_ports(*representation_);
-    data.answer_mask = representation_->answer_mask();
+    const conversion::Representation& first = *meshes_.front().representation();
+    data.representation = first.spec();
+    data.input_channels = first.input_channels();
+    data.answer_channels = first.answer_channels();
+    data.mesh = make_mesh_ports(first);
     data.frame_time_s = master().frame_time_s;
-    const Topology& coarse = master().topology.coarse;
-    data.topology_hash = topology_hash(coarse);
-    data.rest_positions.assign(coarse.rest_positions.data(),
-                               coarse.rest_positions.data() + coarse.rest_positions.size());
-    data.sheet_axes = flat_sheet_axes(coarse);
-    const auto input = representation_->input_shape(), answer = representation_->answer_shape();
-    key_.input_channels = static_cast<int>(input[0]) * config_.window;
-    key_.answer_channels = static_cast<int>(answer[0]);
-    key_.height = static_cast<int>(input[1]), key_.width = static_cast<int>(input[2]);
-    key_.scale = static_cast<int>(answer[1] / input[1]);
+    data.meshes.clear();
+    for (LoadedMesh& mesh : meshes_) {
+      describe_mesh(mesh);
+      if (meshes_.size() > 1) mesh.release();
+    }
+  }
+
+  void describe_mesh(LoadedMesh& mesh) {
+    const conversion::Representation& representation = *mesh.representation();
+    const Topology& coarse = mesh.pair().coarse;
+    PairMesh one;
+    one.topology_hash = topology_hash(coarse);
+    one.rest_positions.assign(coarse.rest_positions.data(),
+                              coarse.rest_positions.data() + coarse.rest_positions.size());
+    one.answer_mask = representation.answer_mask();
+    one.constants = representation.constants();
+    one.sheet_axes = flat_sheet_axes(coarse);
+    if (config_.losses.needs_vertices()) one.mesh_read = make_mesh_read(representation);
+    loaded_.data.meshes.push_back(std::move(one));
+    const auto input = representation.input_shape(), answer = representation.answer_shape();
+    PairFileKey& key = mesh.key;
+    key.input_channels = static_cast<int>(input[0]) * config_.window;
+    key.answer_channels = static_cast<int>(answer[0]);
+    key.height = static_cast<int>(input[1]), key.width = static_cast<int>(input[2]);
+    key.scale = static_cast<int>(answer[1] / input[1]);
     if (config_.cache == "uint16") {
       const bool features = config_.representation == "vertex_features";
-      key_.fixed_point = features && config_.vertex_features.normalization == "range" ? kAroundZero
-                         : features || data.detail()                                  ? kUnitDeviation
-                                                                                      : kUnitRange;
+      key.fixed_point = features && config_.vertex_features.normalization == "range" ? kAroundZero
+                        : features || loaded_.data.detail()                          ? kUnitDeviation
+                                                                                     : kUnitRange;
     }
   }
 
   void check_size() const {
-    const auto texels = static_cast<std::size_t>(key_.height) * static_cast<std::size_t>(key_.width);
-    const auto square = static_cast<std::size_t>(key_.scale) * static_cast<std::size_t>(key_.scale);
-    const std::size_t bytes = texels * (static_cast<std::size_t>(key_.input_channels) * sizeof(float) +
-                                        static_cast<std::size_t>(key_.answer_channels) * square *
-                                            (key_.fixed_point.used() ? 2 : sizeof(float)));
-    const std::size_t megabytes = frames_ * bytes >> 20;
+    std::size_t bytes = 0;
+    for (const Usable& one : usable_) {
+      const PairFileKey& key = meshes_[one.mesh].key;
+      const auto texels = static_cast<std::size_t>(key.height) * static_cast<std::size_t>(key.width);
+      const auto square = static_cast<std::size_t>(key.scale) * static_cast<std::size_t>(key.scale);
+      bytes += static_cast<std::size_t>(frames_of(one.info)) * texels *
+               (static_cast<std::size_t>(key.input_channels) * sizeof(float) +
+                static_cast<std::size_t>(key.answer_channels) * square * (key.fixed_point.used() ? 2 : sizeof(float)));
+    }
+    const std::size_t megabytes = bytes >> 20;
     if (megabytes <= static_cast<std::size_t>(config_.cache_limit_mb)) return;
     throw Error(ErrorCode::kResourceExhausted,
                 config_.dataset + ": " + std::to_string(frames_) + " frames need " + std::to_string(megabytes) +
                     " MB of images, key 'cache_limit_mb' allows " + std::to_string(config_.cache_limit_mb));
+  }
+
+  FrameConverter converter(const LoadedMesh& mesh) { return {reader_, *mesh.representation(), pool_, stopped_}; }
+
+  /// Every n-th frame is measured, n being this.
+  std::size_t measured_stride() const {
+    std::size_t training = 0, longest = 1;
+    for (const auto& [info, mesh] : usable_) {
+      if (in_validation(config_, info)) continue;
+      training += info.frames_complete;
+      longest = std::max<std::size_t>(longest, info.frames_complete);
+    }
+    const std::size_t stride = std::max<std::size_t>(1, training / kMeasuredFrames);
+    // Of many short sequences the first frames alone, in which cloth is flat, would count too much.
+    return meshes_.size() > 1 ? std::min(stride, std::max<std::size_t>(1, longest / kMeasuredOfSequence)) : stride;
   }
 
   /// Those of the weights that begin the training, where they mean the same here; of the published layout the data
@@ -222,17 +289,18 @@ class Loader {
     } else {
       if (published) report_("the data set has no normalisation: measuring it on the training split");
       RangeMeasure inputs(data.input_channels.size()), answers(data.answer_channels.size());
-      std::size_t training = 0;
-      for (const SequenceInfo& s : usable_) training += in_validation(config_, s) ? 0 : s.frames_complete;
-      const std::size_t stride = std::max<std::size_t>(1, training / kMeasuredFrames);
-      for (const SequenceInfo& sequence : usable_) {
-        if (in_validation(config_, sequence)) continue;
-        converter_.run(sequence, stride, [&](std::uint64_t, Converted& frame) {
+      const std::size_t stride = measured_stride();
+      for (const auto& [info, m] : usable_) {
+        if (in_validation(config_, info)) continue;
+        const LoadedMesh& mesh = meshes_[m];
+        const auto representation = mesh.representation();
+        converter(mesh).run(info, stride, [&](std::uint64_t, Converted& frame) {
           // The newest frame, which comes last.
           const std::size_t one = frame.input.values.size() / static_cast<std::size_t>(config_.window);
-          inputs.add(std::span(frame.input.values).last(one), representation_->input_mask());
-          answers.add(frame.answer, representation_->answer_mask());
+          inputs.add(std::span(frame.input.values).last(one), representation->input_mask());
+          answers.add(frame.answer, representation->answer_mask());
         });
+        if (meshes_.size() > 1) mesh.release();
       }
       if (config_.representation == "vertex_features") {
         data.input_ranges = features_ranges(inputs, data.input_channels, false);
@@ -290,7 +358,9 @@ class Loader {
     return result;
   }
 
-  std::uint64_t content_of(const SequenceInfo& info) const {
+  std::uint64_t content_of(const Usable& one) const {
+    const SequenceInfo& info = one.info;
+    const PairFileKey& key = meshes_[one.mesh].key;
     const std::filesystem::path finished = std::filesystem::path(config_.dataset) / "sequences" / (info.name + ".h5");
     const std::filesystem::path file = info.finished ? finished : std::filesystem::path(finished.string() + ".partial");
     std::error_code error;
@@ -298,8 +368,8 @@ class Loader {
     const ImagesConfig& c = config_.images;
     const FeaturesConfig& f = config_.vertex_features;
     const json content{
-        {"topology", {loaded_.data.topology_hash, info.topology_hash}},
-        {"images", {c.layout, c.base, c.units, key_.width, key_.height, c.scale, c.method, c.lambda}},
+        {"topology", {loaded_.data.meshes[one.mesh].topology_hash, info.topology_hash}},
+        {"images", {c.layout, c.base, c.units, key.width, key.height, c.scale, c.method, c.lambda}},
         {"representation", {config_.representation, f.rotation, f.axes, f.answer, f.normalization, f.obstacles}},
         {"window", {config_.window, config_.window_stride}},
         {"input", ranges_json(loaded_.data.input_ranges)},
@@ -311,10 +381,10 @@ class Loader {
     return Hash().add(content.dump()).value();
   }
 
-  void convert(const SequenceInfo& info, const PairFileKey& key, const std::filesystem::path& path) {
+  void convert(const Usable& one, const PairFileKey& key, const std::filesystem::path& path) {
     std::size_t clamped = 0;
     PairFileWriter writer(path, key);
-    converter_.run(info, stride_of(info), [&](std::uint64_t, Converted& frame) {
+    converter(meshes_[one.mesh]).run(one.info, stride_of(one.info), [&](std::uint64_t, Converted& frame) {
       for (int t = 0; t < config_.window; ++t) {
         const std::size_t size = frame.input.values.size() / static_cast<std::size_t>(config_.window);
         normalize(loaded_.data.input_ranges,
@@ -327,17 +397,20 @@ class Loader {
       writer.append(frame.input.values, frame.answer.values, rotation);
     });
     writer.finish();
-    report_(info.name + ": " + std::to_string(key.frames) + " frames converted" +
+    report_(one.info.name + ": " + std::to_string(key.frames) + " frames converted" +
             (clamped > 0 ? ", " + std::to_string(clamped) + " values beyond what 16 bits hold cut off" : ""));
   }
 
-  void load(const SequenceInfo& info, FrameMeshes& meshes) {
+  void load(const Usable& one, FrameMeshes& meshes) {
+    const SequenceInfo& info = one.info;
+    const LoadedMesh& mesh = meshes_[one.mesh];
     PairSequence sequence;
     sequence.name = info.name;
     sequence.validation = in_validation(config_, info);
-    PairFileKey key = key_;
+    sequence.mesh = one.mesh;
+    PairFileKey key = mesh.key;
     key.frames = frames_of(info);
-    key.content = content_of(info);
+    key.content = content_of(one);
     char file[24];
     std::snprintf(file, sizeof file, "-%016llx.bin", static_cast<unsigned long long>(key.content));
     const std::filesystem::path folder = config_.cache_folder.empty()
@@ -348,7 +421,7 @@ class Loader {
       report_(info.name + ": " + std::to_string(key.frames) + " frames from " + path.string());
     } else {
       try {
-        convert(info, key, path);
+        convert(one, key, path);
       } catch (const Error& error) {
         // The attributes promised frames that the file does not hold.
         if (error.code() != ErrorCode::kDataLoss || config_.strict) throw;
@@ -357,16 +430,19 @@ class Loader {
       }
       if (!map_pair_file(path, key, sequence)) throw_data_loss(path.string() + ": can't be read back");
     }
+    if (meshes_.size() > 1) mesh.release();
     const std::size_t index = loaded_.data.sequences.size(), stride = stride_of(info);
     if (sequence.validation) {
       const auto every = static_cast<std::uint64_t>(config_.validation.every_frames);
       for (std::uint64_t k = 0; k < info.frames_complete; k += every) {
-        meshes.add(index, k, std::move(reader_.coarse(info.name, k, k + 1).at(0)),
+        meshes.add(index, k, mesh.representation(), std::move(reader_.coarse(info.name, k, k + 1).at(0)),
                    std::move(reader_.fine(info.name, k, k + 1).at(0)));
       }
     } else if (config_.losses.needs_vertices() && !config_.published_images()) {
       auto coarse = reader_.coarse(info.name, 0, info.frames_complete);
-      for (std::size_t k = 0; k < coarse.size(); k += stride) meshes.add(index, k / stride, std::move(coarse[k]), {});
+      for (std::size_t k = 0; k < coarse.size(); k += stride) {
+        meshes.add(index, k / stride, mesh.representation(), std::move(coarse[k]), {});
+      }
     }
     names_[sequence.validation ? "validation" : "train"].push_back(info.name);
     loaded_.data.sequences.push_back(std::move(sequence));
@@ -375,12 +451,11 @@ class Loader {
   const TrainConfig& config_;
   const std::function<void(const std::string&)>& report_;
   const DatasetReader reader_;
-  const std::shared_ptr<const conversion::Representation> representation_;
   ThreadPool pool_;
-  const FrameConverter converter_;
-  std::vector<SequenceInfo> usable_;
+  const std::function<bool()>& stopped_;
+  std::vector<LoadedMesh> meshes_;
+  std::vector<Usable> usable_;
   std::size_t frames_ = 0;
-  PairFileKey key_;
   json names_ = {{"train", json::array()}, {"validation", json::array()}};
   LoadedPairs loaded_;
 };

@@ -114,7 +114,7 @@ void add_vertex_losses(Losses& losses, const torch::Tensor& synthesized, const B
   // The error is read alone: it is small beside the displacements, which float32 would round.
   const auto error = read_vertices(turned((images(synthesized) - images(batch.answer)) * range, batch.axes), constants);
   if (config.vertices > 0) {
-    losses.vertices = (error / mean_range(0, constants, config)).square().mean();
+    losses.vertices = (error / (constants.unit_m * mean_range(0, constants, config))).square().mean();
     losses.total = losses.total + config.vertices * losses.vertices;
   }
   if (!config.needs_normals() && config.edges <= 0) return;
@@ -154,6 +154,7 @@ void Batch::to(torch::Device device) {
 
 void LossConstants::set_vertices(const MeshRead& read, const torch::Device& device) {
   const std::int64_t vertices = read.vertex_count();
+  unit_m = static_cast<double>(read.unit_m);
   vertex_texels = torch::tensor(read.texels, torch::kInt64).to(device);
   vertex_weights = torch::tensor(read.weights).view({-1, vertices}).to(device);
   faces = torch::tensor(read.faces, torch::kInt64).view({3, -1}).to(device);

@@ -28,7 +28,8 @@ struct Batch {
   /// frames before each of them, the oldest first, and (B, L) 0 for those that do not exist. `before` is then what was
   /// before these.
   torch::Tensor lead, lead_known;
-  int frames = 1;  ///< F
+  int frames = 1;        ///< F
+  std::size_t mesh = 0;  ///< of PairData::meshes, which all images are of
 
   void to(torch::Device device);
 };
@@ -43,6 +44,7 @@ struct LossConstants {
   torch::Tensor vertex_weights;  ///< (K, V)
   torch::Tensor faces, edges;    ///< (3, F) and (2, E) int64
   torch::Tensor edge_lengths;    ///< (E): of the rest mesh, metres
+  double unit_m = 1;             ///< metres, of the answer's displacements
   torch::Tensor ring_average;    ///< (V, V) sparse: the mean of a vertex and its neighbours
 
   /// Sets what the losses on vertices need, which have nothing to read without it.
@@ -68,7 +70,7 @@ struct Losses {
 ///
 /// The losses on vertices (0 where their weight is) read both images as the conversion does: x = base + sum_k w_k d_k
 /// in metres, in the frame of the alignment. Means over all images and V vertices or E edges, L_c the mean range of the
-/// three displacement (c = d) or normal (c = n) channels, times their deviation with scaling "deviation":
+/// three displacement (c = d, in metres) or normal (c = n) channels, times their deviation with scaling "deviation":
 ///   vertices        mean |x^s - x^h|^2 / (3 L_d^2)                          (as eq. 2, but what VMSE measures)
 ///   vertex_normals  mean |n^s - n^h|^2 / (3 L_n^2)                          (area-weighted unit normals of the mesh)
 ///   edges           mean ((l^s - l^h) / (0.01 l^rest))^2                    (difference in percent of the rest length)

@@ -7,6 +7,7 @@
 
 #include "common/base/error.hpp"
 #include "common/mesh/connectivity.hpp"
+#include "services/conversion/geometry_image/detail_image.hpp"
 #include "services/conversion/vertex_features/rotation_labels.hpp"
 
 namespace pleat::superres {
@@ -22,12 +23,10 @@ Positions upsampled(const conversion::Representation& representation, const Posi
 
 }  // namespace
 
-FrameMeshes::FrameMeshes(std::shared_ptr<const conversion::Representation> representation, const ChannelRanges& output)
-    : representation_(std::move(representation)), output_(output) {}
-
-void FrameMeshes::add(std::size_t sequence, std::size_t frame, Positions coarse, Positions fine) {
-  const RigidTransform alignment = representation_->align(coarse);
-  meshes_[{sequence, frame}] = {std::move(coarse), std::move(fine), alignment};
+void FrameMeshes::add(std::size_t sequence, std::size_t frame, SharedRepresentation representation, Positions coarse,
+                      Positions fine) {
+  const RigidTransform alignment = representation->align(coarse);
+  meshes_[{sequence, frame}] = {std::move(coarse), std::move(fine), alignment, std::move(representation)};
 }
 
 const FrameMeshes::Meshes& FrameMeshes::at(std::size_t sequence, std::size_t frame) const {
@@ -38,12 +37,12 @@ const FrameMeshes::Meshes& FrameMeshes::at(std::size_t sequence, std::size_t fra
 
 void FrameMeshes::axes(std::size_t sequence, std::size_t frame, Tensor& axes) const {
   const Meshes& meshes = at(sequence, frame);
-  representation_->answer_axes(meshes.coarse, meshes.alignment, axes);
+  meshes.representation->answer_axes(meshes.coarse, meshes.alignment, axes);
 }
 
 void FrameMeshes::base(std::size_t sequence, std::size_t frame, Positions& positions) const {
   const Meshes& meshes = at(sequence, frame);
-  representation_->base(meshes.coarse, meshes.alignment, positions);
+  meshes.representation->base(meshes.coarse, meshes.alignment, positions);
 }
 
 const FrameMeshes::Meshes& FrameJudge::validated(std::size_t sequence, std::size_t frame) const {
@@ -54,7 +53,7 @@ const FrameMeshes::Meshes& FrameJudge::validated(std::size_t sequence, std::size
 
 double FrameJudge::squared_error(std::size_t sequence, std::size_t frame, std::span<const float> answer) {
   const FrameMeshes::Meshes& meshes = validated(sequence, frame);
-  const conversion::Representation& representation = meshes_->representation();
+  const conversion::Representation& representation = *meshes.representation;
   Tensor tensor{representation.answer_shape(), {}, {answer.begin(), answer.end()}};
   denormalize(meshes_->output(), tensor);
   Positions fine;
@@ -64,16 +63,16 @@ double FrameJudge::squared_error(std::size_t sequence, std::size_t frame, std::s
 
 double FrameJudge::barycentric_squared_error(std::size_t sequence, std::size_t frame) {
   const FrameMeshes::Meshes& meshes = validated(sequence, frame);
-  return mean_square(upsampled(meshes_->representation(), meshes.coarse), meshes.fine);
+  return mean_square(upsampled(*meshes.representation, meshes.coarse), meshes.fine);
 }
 
 std::vector<float> FrameJudge::barycentric_answer(std::size_t sequence, std::size_t frame) {
   const FrameMeshes::Meshes& meshes = validated(sequence, frame);
   Frame coarse, fine;
   coarse.positions = meshes.coarse;
-  fine.positions = upsampled(meshes_->representation(), meshes.coarse);
+  fine.positions = upsampled(*meshes.representation, meshes.coarse);
   Tensor answer;
-  meshes_->representation().target(coarse, fine, meshes.alignment, answer);
+  meshes.representation->target(coarse, fine, meshes.alignment, answer);
   normalize(meshes_->output(), answer);
   return std::move(answer.values);
 }
@@ -82,6 +81,10 @@ MeshRead make_mesh_read(const conversion::Representation& representation) {
   const conversion::VertexReads& reads = representation.reads();
   const Topology& fine = representation.fine();
   MeshRead result;
+  if (const auto* image = std::get_if<conversion::GeometryImageSpec>(&representation.spec().kind);
+      image != nullptr && image->layout == conversion::ImageLayout::kDetail) {
+    result.unit_m = conversion::detail_unit(representation.coarse(), image->units).answers.front();
+  }
   const auto vertices = static_cast<std::size_t>(fine.vertex_count());
   std::size_t most = 1;
   for (std::size_t v = 0; v < vertices; ++v) {

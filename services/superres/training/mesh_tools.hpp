@@ -15,9 +15,13 @@ namespace pleat::superres {
 /// The coarse meshes of some frames, and of those that are validated the fine ones too.
 class FrameMeshes final : public FrameGeometry {
  public:
-  FrameMeshes(std::shared_ptr<const conversion::Representation> representation, const ChannelRanges& output);
+  using SharedRepresentation = std::shared_ptr<const conversion::Representation>;
 
-  void add(std::size_t sequence, std::size_t frame, Positions coarse, Positions fine);
+  explicit FrameMeshes(ChannelRanges output) : output_(std::move(output)) {}
+
+  /// representation: of the sequence's mesh.
+  void add(std::size_t sequence, std::size_t frame, SharedRepresentation representation, Positions coarse,
+           Positions fine);
 
   void axes(std::size_t sequence, std::size_t frame, Tensor& axes) const override;
   void base(std::size_t sequence, std::size_t frame, Positions& positions) const override;
@@ -25,14 +29,13 @@ class FrameMeshes final : public FrameGeometry {
   struct Meshes {
     Positions coarse, fine;
     RigidTransform alignment;
+    SharedRepresentation representation;
   };
   /// Throws kInternal for a frame that was not added.
   const Meshes& at(std::size_t sequence, std::size_t frame) const;
-  const conversion::Representation& representation() const { return *representation_; }
   const ChannelRanges& output() const { return output_; }
 
  private:
-  std::shared_ptr<const conversion::Representation> representation_;
   ChannelRanges output_;
   std::map<std::pair<std::size_t, std::size_t>, Meshes> meshes_;
 };

@@ -68,6 +68,9 @@ Eigen::MatrixXd physical_matrix(const std::vector<std::string>& channels, std::u
     if (!vector || name.rfind("position", 0) == 0) {
       throw_invalid_argument("key 'mirror': what channel '" + name + "' is in a mirror is not known");
     }
+    if (axes.size() != 2) {
+      throw_invalid_argument("key 'mirror': the rest mesh is not flat, its mirror image is another garment");
+    }
     const bool turned = name.rfind("normal", 0) == 0 && (bits & 4) != 0;
     matrix.block<3, 3>(c, c) = (turned ? -1.0 : 1.0) * reflection_of(bits, axes);
     c += 2;
@@ -84,12 +87,9 @@ torch::Tensor flip(torch::Tensor image, std::uint64_t bits) {
 }  // namespace
 
 Mirror::Mirror(const PairData& data) : window_(data.representation.window), constants_(data.constant_channels()) {
-  if (data.sheet_axes.size() != 2) {
-    throw_invalid_argument("key 'mirror': the rest mesh is not flat, its mirror image is another garment");
-  }
   const auto map_of = [&](const std::vector<std::string>& channels, const ChannelRanges& ranges, std::uint64_t bits) {
     // x' = (P (x s + b) - b) / s
-    const Eigen::MatrixXd physical = physical_matrix(channels, bits, data.sheet_axes);
+    const Eigen::MatrixXd physical = physical_matrix(channels, bits, data.meshes.front().sheet_axes);
     const auto count = static_cast<std::int64_t>(channels.size());
     Map map{torch::zeros({count, count}), torch::zeros({count, 1, 1})};
     auto matrix = map.matrix.accessor<float, 2>();

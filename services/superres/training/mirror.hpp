@@ -13,10 +13,12 @@ namespace pleat::superres {
 
 /// Three reflections: along u (bit 0) and v (bit 1), which reverse the images, and across the sheet (bit 2). Vectors in
 /// the alignment's axes are reflected, normals turned round where the order of u and v stays; values in the cloth's own
-/// axes change their sign or don't. Each is its own inverse.
+/// axes change their sign or don't. Each is its own inverse. Where all is in the cloth's own axes any garment has such
+/// copies, and they are those of its mirror image with u or v counted the other way.
 class Mirror {
  public:
-  /// Throws kInvalidArgument unless the rest mesh is flat, and for channels whose mirror image is not known.
+  /// Throws kInvalidArgument for channels whose mirror image is not known, and those in the alignment's axes unless the
+  /// rest mesh is flat.
   explicit Mirror(const PairData& data);
 
   /// image: (T C + K, h, w) normalised, or a part of it.

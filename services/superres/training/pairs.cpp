@@ -61,19 +61,40 @@ std::size_t PairData::training_frames() const {
   return frames;
 }
 
+namespace {
+
+void check_mesh(const PairMesh& mesh, const PairSequence& sequence, int constants) {
+  const ImageStore &input = sequence.input, &answer = sequence.answer;
+  const auto& shape = mesh.constants.shape;
+  if ((shape.empty() ? 0 : shape[0]) != constants ||
+      (!shape.empty() && (shape[1] != input.height() || shape[2] != input.width()))) {
+    throw_invalid_argument("data set: the constants have another size than the images");
+  }
+  if (mesh.answer_mask.size() != static_cast<std::size_t>(answer.height()) * static_cast<std::size_t>(answer.width())) {
+    throw_invalid_argument("data set: the valid mask has another size than the answers");
+  }
+  if (std::none_of(mesh.answer_mask.begin(), mesh.answer_mask.end(), [](auto m) { return m != 0; })) {
+    throw_invalid_argument("data set: no texel of the answers is valid");
+  }
+}
+
+}  // namespace
+
 void PairData::check() const {
   if (training_frames() == 0) throw_invalid_argument("data set: no training frames");
   const ImageStore &first = sequences.front().input, &answer = sequences.front().answer;
   const int factor = scale();
+  std::vector<const PairSequence*> sizes(meshes.size(), nullptr);  // whose images are as large as its mesh's
   for (const auto& s : sequences) {
     if (s.input.size() == 0 || s.input.size() != s.answer.size() || s.input.size() != s.rotations.size()) {
       throw_invalid_argument("data set: sequence " + s.name + " has no frames, or not as many coarse as fine ones");
     }
-    const auto same = [](const ImageStore& a, const ImageStore& b) {
-      return a.channels() == b.channels() && a.height() == b.height() && a.width() == b.width();
-    };
-    if (factor < 1 || !same(s.input, first) || !same(s.answer, answer) || answer.height() != factor * first.height() ||
-        answer.width() != factor * first.width()) {
+    if (s.mesh >= meshes.size()) throw_internal("data set: sequence " + s.name + " has no mesh");
+    if (sizes[s.mesh] == nullptr) sizes[s.mesh] = &s;
+    const ImageStore& like = sizes[s.mesh]->input;
+    if (factor < 1 || s.input.channels() != first.channels() || s.answer.channels() != answer.channels() ||
+        s.input.height() != like.height() || s.input.width() != like.width() ||
+        s.answer.height() != factor * s.input.height() || s.answer.width() != factor * s.input.width()) {
       throw_invalid_argument("data set: sequence " + s.name + " has images of another size");
     }
   }
@@ -83,14 +104,8 @@ void PairData::check() const {
       input_channels.size() != input_ranges.channels() || answer_channels.size() != output_ranges.channels()) {
     throw_invalid_argument("data set: images, ranges and names have different numbers of channels");
   }
-  if (!constants.shape.empty() && (constants.shape[1] != first.height() || constants.shape[2] != first.width())) {
-    throw_invalid_argument("data set: the constants have another size than the images");
-  }
-  if (answer_mask.size() != static_cast<std::size_t>(answer.height()) * static_cast<std::size_t>(answer.width())) {
-    throw_invalid_argument("data set: the valid mask has another size than the answers");
-  }
-  if (std::none_of(answer_mask.begin(), answer_mask.end(), [](auto m) { return m != 0; })) {
-    throw_invalid_argument("data set: no texel of the answers is valid");
+  for (std::size_t m = 0; m < meshes.size(); ++m) {
+    if (sizes[m] != nullptr) check_mesh(meshes[m], *sizes[m], constant_channels());
   }
 }
 

@@ -78,6 +78,7 @@ struct MeshRead {
   std::vector<float> rest;           ///< (3 x V): rest positions, metres
   std::vector<std::int64_t> faces;   ///< (3 x F)
   std::vector<std::int64_t> edges;   ///< (2 x E): those with a length in the rest mesh
+  float unit_m = 1;                  ///< metres, of the answer's displacements: the weights hold it
 
   std::int64_t vertex_count() const { return static_cast<std::int64_t>(rest.size() / 3); }
 };
@@ -85,10 +86,23 @@ struct MeshRead {
 /// A rotation's matrix, row-major.
 using RotationRows = std::array<float, 3 * 3>;
 
+/// What belongs to one coarse mesh and its fine one.
+struct PairMesh {
+  std::string topology_hash;              ///< of the coarse mesh
+  std::vector<float> rest_positions;      ///< (V x 3) of the coarse mesh
+  std::vector<std::uint8_t> answer_mask;  ///< (H W): 1 where a texel holds a value of its own
+  Tensor constants;                       ///< (K, h, w), or without a shape
+  MeshRead mesh_read;                     ///< for losses on vertices, else empty
+  /// Directions of u and v in the rest mesh if that is flat, else empty. For mirrored copies of vectors in the
+  /// alignment's axes.
+  std::vector<std::array<float, 3>> sheet_axes;
+};
+
 /// One sequence of consecutive frames.
 struct PairSequence {
   std::string name;
   bool validation = false;
+  std::size_t mesh = 0;                 ///< of PairData::meshes
   ImageStore input, answer;             ///< normalised, one image a frame; inputs are kept exactly
   std::vector<RotationRows> rotations;  ///< of the rigid alignment (world to rest), per frame
 };
@@ -103,28 +117,27 @@ class FrameGeometry {
   virtual void base(std::size_t sequence, std::size_t frame, Positions& positions) const = 0;
 };
 
-/// Data set as images.
+/// Data set as images: of one size for each mesh.
 struct PairData {
   std::vector<PairSequence> sequences;
-  std::vector<std::uint8_t> answer_mask;  ///< (H W): 1 where a texel holds a value of its own
-  conversion::RepresentationSpec representation;
+  std::vector<PairMesh> meshes = std::vector<PairMesh>(1);
+  conversion::RepresentationSpec representation;             ///< with the sizes of the first mesh
   ChannelRanges input_ranges, output_ranges;                 ///< of one frame, and of an answer
   std::vector<std::string> input_channels, answer_channels;  ///< the same: names
-  Tensor constants;                                          ///< (K, h, w), or without a shape
   std::shared_ptr<const MeshPorts> mesh;  ///< for networks that convolve on meshes; null: the places are no mesh's
   double frame_time_s = 0;
-  std::string topology_hash;                ///< of the coarse mesh
-  std::vector<float> rest_positions;        ///< (V x 3) of the coarse mesh
   std::string description = "{}";           ///< JSON about the data set, for the bundle
-  MeshRead mesh_read;                       ///< for losses on vertices, else empty
-  std::shared_ptr<FrameGeometry> geometry;  ///< the same; null: the alignment's axes, and the rest positions
-  /// Directions of u and v in the rest mesh if that is flat, else empty. Needed for mirrored copies.
-  std::vector<std::array<float, 3>> sheet_axes;
+  std::shared_ptr<FrameGeometry> geometry;  ///< for losses on vertices; null: the alignment's axes, and rest positions
 
+  const PairMesh& mesh_of(const PairSequence& sequence) const { return meshes[sequence.mesh]; }
+  /// Of the first sequence's inputs.
   int height() const { return sequences.front().input.height(); }
   int width() const { return sequences.front().input.width(); }
   int scale() const { return sequences.front().answer.height() / height(); }
-  int constant_channels() const { return constants.shape.empty() ? 0 : static_cast<int>(constants.shape[0]); }
+  int constant_channels() const {
+    const Tensor& constants = meshes.front().constants;
+    return constants.shape.empty() ? 0 : static_cast<int>(constants.shape[0]);
+  }
   /// An answer of zeros is the upsampled coarse mesh.
   bool detail() const;
   /// Its vectors are in the cloth's own axes.
@@ -154,8 +167,8 @@ struct LoadedPairs {
 
 /// Reads a data set (docs/file-formats.md), converts every frame and normalises it. `report` gets lines about the
 /// progress; `stopped` is asked often, and true ends it with kCancelled. Any number of rounds, and either rule.
-/// Throws kNotFound, kDataLoss, kInvalidArgument (sequences of other meshes, unknown names, a mesh that the
-/// representation can't hold), kResourceExhausted if the images would need more than config.cache_limit_mb.
+/// Throws kNotFound, kDataLoss, kInvalidArgument (several meshes for a bundle that serves one, unknown names, a mesh
+/// that the representation can't hold), kResourceExhausted if the images would need more than config.cache_limit_mb.
 LoadedPairs load_pairs(
     const TrainConfig& config, const std::function<void(const std::string&)>& report,
     const std::function<bool()>& stopped = [] { return false; });

@@ -24,9 +24,13 @@ class Sampler {
 
   int windows_per_step() const { return config_.batch; }
 
-  /// Windows [first, last) of a step's batch. They are drawn without repetition until all had their turn.
+  /// Windows [first, last) of a step's batch, which have to be of one mesh. They are drawn without repetition until all
+  /// had their turn; those of a mesh come one after the other.
   Batch batch(int epoch, int step, int first, int last) const;
   Batch batch(int epoch, int step) const { return batch(epoch, step, 0, config_.batch); }
+
+  /// Where passes over windows [first, last) of a step end: each is of one mesh, and of at most `most` windows.
+  std::vector<int> passes(int epoch, int step, int first, int last, int most) const;
 
   /// The answers to a batch as if its inputs had not been mirrored: what belongs to batch.answer. Differentiable.
   torch::Tensor unmirrored(const torch::Tensor& answers, const Batch& batch) const;
@@ -48,11 +52,11 @@ class Sampler {
   };
   /// Where a window is cut out, and how it is mirrored.
   struct Cut {
-    int row, column;
+    int row, column, height, width;
     std::uint64_t mirror;
   };
   std::vector<Window> windows_of(int epoch, int step) const;
-  Cut cut_of(int epoch, int step, int window) const;
+  Cut cut_of(int epoch, int step, int index, const Window& window) const;
   void read_image(const PairSequence& sequence, std::size_t frame, const Cut& cut, Batch& batch, std::int64_t n) const;
   void read_input(const PairSequence& sequence, std::size_t frame, const Cut& cut, torch::Tensor input) const;
   void read_before(const Window& window, Batch& batch, std::int64_t n) const;
@@ -63,11 +67,11 @@ class Sampler {
   const TrainConfig& config_;
   const PairData& data_;
   int remembered_;
-  int frames_, patch_height_, patch_width_, scale_, steps_;
+  int frames_, scale_, steps_;
   std::vector<Window> windows_;
   std::optional<Mirror> mirror_;
-  torch::Tensor constants_;  ///< (K, h, w)
-  torch::Tensor rest_;       ///< (3, V), for losses on vertices
+  std::vector<torch::Tensor> constants_;  ///< of each mesh (K, h, w)
+  std::vector<torch::Tensor> rest_;       ///< of each mesh (3, V), for losses on vertices
 };
 
 }  // namespace pleat::superres

@@ -98,12 +98,43 @@ std::vector<float> measure_deviation(const PairData& data) {
     for (std::size_t f = 0; f < sequence.answer.size(); ++f, ++index) {
       if (index % stride != 0) continue;
       const auto lack = (read_image(sequence.answer, f) - plain_answer(data, sequence, f)).contiguous();
-      measure.add({lack.data_ptr<float>(), static_cast<std::size_t>(lack.numel())}, data.answer_mask);
+      measure.add({lack.data_ptr<float>(), static_cast<std::size_t>(lack.numel())}, data.mesh_of(sequence).answer_mask);
     }
   }
   auto deviation = measure.moments().scale;
   for (float& d : deviation) d = std::max(d, 1e-6F);
   return deviation;
+}
+
+/// By which the losses of each mesh are multiplied: the less detail it has the more, so that what can be known of a
+/// quiet garment is not lost beside a lively one. 1 of a single one.
+std::vector<double> mesh_weights(const PairData& data, const std::vector<float>& deviation) {
+  constexpr double kMost = 8;
+  constexpr std::size_t kFrames = 8;  // of a sequence
+  std::vector<double> squares(data.meshes.size(), 0), counts(data.meshes.size(), 0);
+  for (const PairSequence& sequence : data.sequences) {
+    if (sequence.validation) continue;
+    const auto& mask = data.mesh_of(sequence).answer_mask;
+    const std::size_t frames = sequence.answer.size(), stride = std::max<std::size_t>(1, frames / kFrames);
+    for (std::size_t f = stride / 2; f < frames; f += stride) {
+      const auto lack = (read_image(sequence.answer, f) - plain_answer(data, sequence, f)).contiguous();
+      const float* values = lack.data_ptr<float>();
+      for (std::size_t i = 0; i < static_cast<std::size_t>(lack.numel()); ++i) {
+        if (mask[i % mask.size()] == 0) continue;
+        squares[sequence.mesh] += std::pow(static_cast<double>(values[i] / deviation[i / mask.size()]), 2);
+        counts[sequence.mesh] += 1;
+      }
+    }
+  }
+  double mean = 0, known = 0;
+  for (std::size_t m = 0; m < squares.size(); ++m) {
+    if (counts[m] > 0) mean += squares[m] / counts[m], known += 1;
+  }
+  std::vector<double> weights(data.meshes.size(), 1);
+  for (std::size_t m = 0; known > 1 && m < weights.size(); ++m) {
+    if (squares[m] > 0) weights[m] = std::clamp(mean / known * counts[m] / squares[m], 1 / kMost, kMost);
+  }
+  return weights;
 }
 
 class Trainer {
@@ -135,6 +166,9 @@ class Trainer {
     if (hooks.processes > config.batch) {
       throw_invalid_argument("key 'batch' = " + std::to_string(config.batch) + ": " + std::to_string(hooks.processes) +
                              " processes need as many windows a step");
+    }
+    if (data.meshes.size() > 1 && network_.description().remembers()) {
+      throw_invalid_argument("key 'architecture': a network that remembers needs sequences of one mesh");
     }
     const int processors = std::max(1, static_cast<int>(available_processors()) / hooks.processes);
     set_torch_threads(config.threads > 0 ? config.threads : processors);
@@ -216,13 +250,19 @@ class Trainer {
   }
 
   void set_constants() {
-    constants_.offset = torch::tensor(data_.output_ranges.offset).to(device_);
-    constants_.scale = torch::tensor(data_.output_ranges.scale).to(device_);
-    constants_.deviation = torch::tensor(measure_deviation(data_)).to(device_);
-    constants_.normal = find_frame_channels(data_.answer_channels, kNormalChannel);
-    constants_.velocity = find_frame_channels(data_.answer_channels, kVelocityChannel);
-    constants_.frame_time_s = data_.frame_time_s;
-    if (config_.losses.needs_vertices()) constants_.set_vertices(data_.mesh_read, device_);
+    LossConstants shared;
+    shared.offset = torch::tensor(data_.output_ranges.offset).to(device_);
+    shared.scale = torch::tensor(data_.output_ranges.scale).to(device_);
+    const std::vector<float> deviation = measure_deviation(data_);
+    weights_ = mesh_weights(data_, deviation);
+    shared.deviation = torch::tensor(deviation).to(device_);
+    shared.normal = find_frame_channels(data_.answer_channels, kNormalChannel);
+    shared.velocity = find_frame_channels(data_.answer_channels, kVelocityChannel);
+    shared.frame_time_s = data_.frame_time_s;
+    constants_.assign(data_.meshes.size(), shared);
+    for (std::size_t m = 0; config_.losses.needs_vertices() && m < data_.meshes.size(); ++m) {
+      constants_[m].set_vertices(data_.meshes[m].mesh_read, device_);
+    }
   }
 
   double learning_rate(std::int64_t step) const {
@@ -250,7 +290,7 @@ class Trainer {
   /// Losses of this process's windows, weighted by their share of the step's valid texels; gradients are added up.
   void accumulate(int begin, int end, double texels, torch::Tensor& values) {
     Batch batch = sampler_.batch(state_.epoch, state_.step, begin, end);
-    const double share = batch.mask.sum().item<double>() / texels;
+    const double share = weights_[batch.mesh] * batch.mask.sum().item<double>() / texels;
     batch.to(device_);
     if (remembering_.in_autoencoders(state_.epoch)) {
       const auto loss = remembering_.autoencoder_loss(batch);
@@ -262,7 +302,7 @@ class Trainer {
     const auto synthesized = description().remembers()
                                  ? remembering_.answers(batch, state_.epoch, state_.step, begin, codes)
                                  : sampler_.unmirrored(network_.forward(batch.input, type_), batch);
-    Losses losses = compute_losses(synthesized, batch, constants_, config_.losses);
+    Losses losses = compute_losses(synthesized, batch, constants_[batch.mesh], config_.losses);
     if (codes.defined()) losses.total = losses.total + config_.losses.codes * codes;
     const auto parts =
         torch::stack({losses.total, losses.displacement, losses.normal, losses.velocity, losses.kinematic,
@@ -281,7 +321,11 @@ class Trainer {
     for (;;) {
       auto values = torch::zeros({kShared}, torch::kFloat64);
       try {
-        for (int w = begin; w < end; w += micro_batch_) accumulate(w, std::min(w + micro_batch_, end), texels, values);
+        int first = begin;
+        for (const int last : sampler_.passes(state_.epoch, state_.step, begin, end, micro_batch_)) {
+          accumulate(first, last, texels, values);
+          first = last;
+        }
         return values;
       } catch (const Error&) {
         throw;
@@ -393,9 +437,12 @@ class Trainer {
                   report.learning_rate, report.total);
     std::string line = text;
     if (report.validated) {
-      std::snprintf(text, sizeof text, "  PSNR %.2f dB  VMSE %.3e m2  RMSE %.2f mm%s", report.psnr_db, report.vmse_m2,
-                    1e3 * std::sqrt(report.vmse_m2), report.best ? "  best" : "");
+      std::snprintf(text, sizeof text, "  PSNR %.2f dB  VMSE %.3e m2  RMSE %.2f mm", report.psnr_db, report.vmse_m2,
+                    1e3 * std::sqrt(report.vmse_m2));
       line += text;
+      std::snprintf(text, sizeof text, "  gain %.2f dB", report.gain_db);
+      if (data_.meshes.size() > 1 && judge_ != nullptr) line += text;
+      if (report.best) line += "  best";
     }
     say(line);
   }
@@ -432,8 +479,9 @@ class Trainer {
   /// that the answer does not have.
   torch::Tensor feature_errors(const torch::Tensor& image, std::size_t sequence, std::size_t frame) const {
     const auto& answer = data_.sequences[sequence].answer;
-    const auto mask = torch::from_blob(const_cast<std::uint8_t*>(data_.answer_mask.data()),
-                                       {1, 1, answer.height(), answer.width()}, torch::kUInt8)
+    const auto& valid = data_.mesh_of(data_.sequences[sequence]).answer_mask;
+    const auto mask = torch::from_blob(const_cast<std::uint8_t*>(valid.data()), {1, 1, answer.height(), answer.width()},
+                                       torch::kUInt8)
                           .to(torch::kFloat32);
     const auto error = (image - read_image(answer, frame)).square() * mask;
     auto result = torch::zeros({3}, torch::kFloat64);
@@ -448,6 +496,7 @@ class Trainer {
 
   void measure_baseline() {
     double plain = 0, barycentric = 0, vmse = 0, count = 0;
+    upsampling_errors_.assign(data_.sequences.size(), 0);
     for_validation_frames([&](std::size_t s, std::size_t f) {
       const auto& sequence = data_.sequences[s];
       plain += displacement_error(plain_answer(data_, sequence, f), s, f);
@@ -457,7 +506,9 @@ class Trainer {
         const auto image = torch::from_blob(const_cast<float*>(values.data()),
                                             {1, answer.channels(), answer.height(), answer.width()});
         barycentric += displacement_error(image, s, f);
-        vmse += judge_->barycentric_squared_error(s, f);
+        const double error = judge_->barycentric_squared_error(s, f);
+        vmse += error;
+        upsampling_errors_[s] += error;
       }
       count += 1;
     });
@@ -474,14 +525,25 @@ class Trainer {
     say(text);
   }
 
+  /// The mean over the validation sequences of how far their errors, sums over the same frames, are below upsampling's.
+  double mean_gain_db(const std::vector<double>& errors) const {
+    constexpr double kNothing = 1e-12;  // m^2: a cloth that does not move
+    double sum = 0, count = 0;
+    for (std::size_t s = 0; s < errors.size(); ++s) {
+      if (!data_.sequences[s].validation) continue;
+      sum += 10 * std::log10((upsampling_errors_[s] + kNothing) / (errors[s] + kNothing));
+      count += 1;
+    }
+    return sum / count;
+  }
+
   /// (1, inputs, h, w)
   torch::Tensor validation_input(std::size_t s, std::size_t f) const {
-    auto input = read_image(data_.sequences[s].input, f);
+    const PairSequence& sequence = data_.sequences[s];
+    auto input = read_image(sequence.input, f);
     if (data_.constant_channels() > 0) {
-      input = torch::cat(
-          {input,
-           torch::tensor(data_.constants.values).view({1, data_.constant_channels(), data_.height(), data_.width()})},
-          1);
+      const auto constants = torch::tensor(data_.mesh_of(sequence).constants.values);
+      input = torch::cat({input, constants.view({1, -1, sequence.input.height(), sequence.input.width()})}, 1);
     }
     return input.to(device_);
   }
@@ -494,11 +556,15 @@ class Trainer {
     }
     auto errors = torch::zeros({3}, torch::kFloat64);
     double mesh_error = 0, count = 0;
+    std::vector<double> sequence_errors(data_.sequences.size(), 0);
     const auto judge = [&](const torch::Tensor& answer, std::size_t s, std::size_t f) {
       const auto output = answer.to(torch::kCPU, torch::kFloat32).contiguous();
       errors += feature_errors(output, s, f);
       if (judge_ != nullptr) {
-        mesh_error += judge_->squared_error(s, f, {output.data_ptr<float>(), static_cast<std::size_t>(output.numel())});
+        const double error =
+            judge_->squared_error(s, f, {output.data_ptr<float>(), static_cast<std::size_t>(output.numel())});
+        mesh_error += error;
+        sequence_errors[s] += error;
       }
       count += 1;
     };
@@ -522,12 +588,15 @@ class Trainer {
     report.validated = true;
     const double image_error = errors[0].item<double>();
     report.psnr_db = decibel(image_error / count);
-    if (constants_.normal >= 0 && constants_.velocity >= 0) {
+    if (constants_.front().normal >= 0 && constants_.front().velocity >= 0) {
       report.psnr_normal_db = decibel(errors[1].item<double>() / count);
       report.psnr_velocity_db = decibel(errors[2].item<double>() / count);
     }
     report.vmse_m2 = mesh_error / count;
-    const double score = judge_ != nullptr ? report.vmse_m2 : image_error / count;
+    const bool several = data_.meshes.size() > 1 && judge_ != nullptr;
+    if (several) report.gain_db = mean_gain_db(sequence_errors);
+    const double mesh_score = several ? -report.gain_db : report.vmse_m2;
+    const double score = judge_ != nullptr ? mesh_score : image_error / count;
     if (!std::isfinite(score))
       throw Error(ErrorCode::kInternal, "validation error is not finite at epoch " + std::to_string(report.epoch));
     report.best = !remembering_.in_autoencoders(state_.epoch) && (state_.best_epoch < 0 || score < state_.best_score);
@@ -543,8 +612,8 @@ class Trainer {
     m.constants = data_.constant_channels();
     if (description().remembers()) m.input_size = {data_.height(), data_.width()};
     if (description().remembers()) m.memory = averaged_.description().memory_shape({data_.height(), data_.width()});
-    m.topology_hash = data_.topology_hash;
-    m.rest_positions = data_.rest_positions;
+    m.topology_hash = data_.meshes.front().topology_hash;
+    m.rest_positions = data_.meshes.front().rest_positions;
     if (config_.serves == "any") forget_mesh(m);
     m.float32_parameters = averaged_.float32_parameters();
     json training = json::parse(data_.description);
@@ -568,6 +637,7 @@ class Trainer {
       m.metrics["barycentric_psnr_db"] = result_.baseline.barycentric_psnr_db;
       m.metrics["barycentric_vmse_m2"] = result_.baseline.barycentric_vmse_m2;
       m.metrics["barycentric_rmse_m"] = std::sqrt(result_.baseline.barycentric_vmse_m2);
+      if (data_.meshes.size() > 1) m.metrics["gain_db"] = report.gain_db;
     }
     m.git_revision = hooks_.git_revision;
     m.parameters = averaged_.parameter_count();
@@ -590,7 +660,9 @@ class Trainer {
   bool stop_ = false;
   double shared_minutes_ = 0;
   std::vector<EpochReport> history_;
-  LossConstants constants_;
+  std::vector<LossConstants> constants_;   ///< of each mesh
+  std::vector<double> weights_;            ///< of each mesh, of its losses
+  std::vector<double> upsampling_errors_;  ///< of each validation sequence, the sum over its frames, m^2
   TrainState state_;
   TrainResult result_;
   double rate_ = 0;

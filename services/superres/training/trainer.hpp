@@ -22,6 +22,7 @@ struct EpochReport {
   double psnr_db = 0;                               ///< of the normalised displacement image over valid texels, peak 1
   double psnr_normal_db = 0, psnr_velocity_db = 0;  ///< the same of the other features
   double vmse_m2 = 0;                               ///< mean squared vertex distance; 0 without a judge
+  double gain_db = 0;  ///< of several meshes: how far the VMSE of a validation sequence is below upsampling's, the mean
   bool best = false;
 };
 
@@ -52,13 +53,12 @@ struct TrainResult {
 
 /// Trains, or goes on from OUTPUT/checkpoint.pt if that exists: with the same configuration, data and machine the curve
 /// is bit for bit the one of an uninterrupted training (except with schedule.progress "minutes"). Writes OUTPUT/NAME.pt
-/// (best validated weights), OUTPUT/log.csv, OUTPUT/log.html and OUTPUT/checkpoint.pt. judge may be null: then there is
-/// no VMSE, and the best is chosen by PSNR. Several processes share the windows of every step and sum their gradients;
-/// the curve is that of one process but for rounding.
-/// If the device runs out of memory, passes take half as many windows from then on.
-/// Throws as Sampler, Communicator and load_checkpoint; kInternal, naming epoch, step and windows, if a loss is not
-/// finite; kResourceExhausted if a file can't be written, or one window needs too much memory. The check-point before
-/// it stays.
+/// (best validated weights), OUTPUT/log.csv, OUTPUT/log.html and OUTPUT/checkpoint.pt. The best is that of the smallest
+/// VMSE; of several meshes in their coarse edges, so that each counts alike. judge may be null: then the best is chosen
+/// by PSNR. Several processes share the windows of every step and sum their gradients; the curve is that of one process
+/// but for rounding. If the device runs out of memory, passes take half as many windows from then on. Throws as
+/// Sampler, Communicator and load_checkpoint; kInternal, naming epoch, step and windows, if a loss is not finite;
+/// kResourceExhausted if a file can't be written, or one window needs too much memory. The check-point before it stays.
 TrainResult train(const TrainConfig& config, const PairData& data, MeshJudge* judge, const TrainHooks& hooks);
 
 }  // namespace pleat::superres

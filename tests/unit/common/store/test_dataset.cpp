@@ -74,6 +74,46 @@ TEST_F(Dataset, ReadsWhatWasWritten) {
   }
 }
 
+TEST_F(Dataset, ASequenceMayHaveMeshesOfItsOwn) {
+  write_dataset_master(folder.path(), sample_master(meshes, {"a", "b"}));
+  write_sequence("a", 2, false);
+  const MeshPair other = sample_meshes(3);
+  const auto record = [&](const MeshPair& claimed, const std::string& hash) {
+    SequenceOptions options = sample_sequence(other, "b", 2);
+    options.meshes = std::make_shared<MeshPair>(claimed);
+    options.topology_hash = hash;
+    options.deflate = true;
+    SequenceWriter writer(folder.path(), options);
+    for (std::uint64_t k = writer.frames_complete(); k < 2; ++k) writer.append(sample_frame(other, k));
+    writer.finish();
+  };
+  EXPECT_EQ(code_of([&] { record(meshes, topology_hash(meshes.fine)); }, "its own meshes"),
+            ErrorCode::kInvalidArgument);
+  EXPECT_EQ(code_of([&] { record(other, topology_hash(meshes.fine)); }, "its own meshes"), ErrorCode::kInvalidArgument);
+  record(other, topology_hash(other.fine));
+
+  std::shared_ptr<const MeshPair> kept;
+  {
+    const DatasetReader reader(folder.path());
+    const auto infos = reader.sequences();
+    ASSERT_EQ(infos.size(), 2u);
+    EXPECT_FALSE(infos[0].own_meshes);
+    EXPECT_TRUE(infos[1].own_meshes);
+    EXPECT_EQ(reader.coarse("b", 1, 2)[0], sample_frame(other, 1).coarse);
+    EXPECT_EQ(reader.fine("b", 1, 2)[0], sample_frame(other, 1).fine);
+    EXPECT_EQ(reader.fine("a", 1, 2)[0], sample_frame(meshes, 1).fine);
+    EXPECT_EQ(topology_hash(reader.meshes("b")->coarse), topology_hash(other.coarse));
+    EXPECT_EQ(reader.meshes("b")->feature_vertices, other.feature_vertices);
+    kept = reader.meshes("a");
+  }
+  EXPECT_EQ(topology_hash(kept->fine), topology_hash(meshes.fine)) << "outlives the reader";
+
+  hdf5::File file = hdf5::File::open_own(folder.path() / "sequences/b.h5", true);
+  file.set_attribute("/", "topology_hash", topology_hash(meshes.fine));
+  file.close();
+  EXPECT_EQ(code_of([&] { DatasetReader(folder.path()).meshes("b"); }, "topology_hash"), ErrorCode::kDataLoss);
+}
+
 TEST_F(Dataset, ContinuesAfterTheLastCompleteFrame) {
   write_dataset_master(folder.path(), sample_master(meshes, {"a"}));
   {

@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <filesystem>
+#include <memory>
 #include <string>
 
 #include "common/mesh/subdivision.hpp"
@@ -58,10 +59,11 @@ inline DatasetMaster example_master() {
   return master;
 }
 
-/// Sequence `name`; recorded: frames that are written, kFrames to finish it.
+/// Sequence `name`; recorded: frames that are written, kFrames to finish it. own: the file holds the meshes.
 inline void write_sequence(const std::filesystem::path& folder, const DatasetMaster& master, const std::string& name,
-                           const std::string& split, int phase, int recorded = kFrames) {
+                           const std::string& split, int phase, int recorded = kFrames, bool own = false) {
   SequenceOptions options;
+  if (own) options.meshes = std::make_shared<MeshPair>(master.topology);
   options.name = name;
   options.split = split;
   options.scene = "{}";
@@ -97,6 +99,21 @@ inline void write_example_dataset(const std::filesystem::path& folder, DatasetMa
   write_dataset_master(folder, master);
   write_sequence(folder, master, "a", "train", 0);
   write_sequence(folder, master, "b", "test", 1);
+}
+
+/// "a" and "b" as in write_example_dataset; "c" to train on and "d" to test, of a sheet of other size and edges.
+inline void write_two_meshes(const std::filesystem::path& folder) {
+  DatasetMaster master = example_master(), other = master;
+  master.sequences = {"a", "b", "c", "d"};
+  write_dataset_master(folder, master);
+  write_sequence(folder, master, "a", "train", 0);
+  write_sequence(folder, master, "b", "test", 1);
+  other.topology.coarse = sheet(10, 4);
+  other.topology.coarse.rest_positions *= 0.5F, other.topology.coarse.uv *= 0.5F;
+  const Subdivision subdivision = subdivide(other.topology.coarse, 2);
+  other.topology.fine = subdivision.fine, other.topology.feature_vertices = subdivision.feature_vertices;
+  write_sequence(folder, other, "c", "train", 2, kFrames, true);
+  write_sequence(folder, other, "d", "test", 3, kFrames, true);
 }
 
 }  // namespace pleat::superres

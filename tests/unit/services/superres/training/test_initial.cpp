@@ -85,7 +85,7 @@ TEST_F(Initial, InMetresTheNormalisationIsThatOfTheMesh) {
   PairData data;
   data.representation.kind = std::get<conversion::GeometryImageSpec>(read_metadata(c.initial).representation.kind);
   data.input_channels.resize(17), data.answer_channels.resize(3);
-  data.constants.shape = {read_metadata(c.initial).constants, 1, 1};
+  data.meshes[0].constants.shape = {read_metadata(c.initial).constants, 1, 1};
   EXPECT_FALSE(take_initial_ranges(c, data));
   EXPECT_TRUE(data.input_ranges.empty());
 }

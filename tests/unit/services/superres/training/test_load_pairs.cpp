@@ -50,8 +50,8 @@ TEST_F(LoadPairs, ImagesBelongToTheFrames) {
   EXPECT_TRUE(data.sequences[1].validation);
   EXPECT_EQ(data.training_frames(), static_cast<std::size_t>(kFrames));
   EXPECT_EQ(data.width(), 12);
-  EXPECT_EQ(data.topology_hash, topology_hash(master_.topology.coarse));
-  EXPECT_EQ(data.sheet_axes.size(), 2U);
+  EXPECT_EQ(data.meshes[0].topology_hash, topology_hash(master_.topology.coarse));
+  EXPECT_EQ(data.meshes[0].sheet_axes.size(), 2U);
   EXPECT_DOUBLE_EQ(data.frame_time_s, 0.04);
 
   EXPECT_EQ(data.input_ranges, example_range());
@@ -71,11 +71,11 @@ TEST_F(LoadPairs, ImagesBelongToTheFrames) {
 
 TEST_F(LoadPairs, VertexReadMakesTheMeshThatTheJudgeMakes) {
   write(true);
-  EXPECT_TRUE(load_pairs(config(), quiet).data.mesh_read.rest.empty());
+  EXPECT_TRUE(load_pairs(config(), quiet).data.meshes[0].mesh_read.rest.empty());
   TrainConfig c = config();
   c.patch = 0, c.losses.edges = 0.1;
   const LoadedPairs loaded = load_pairs(c, quiet);
-  const MeshRead& read = loaded.data.mesh_read;
+  const MeshRead& read = loaded.data.meshes[0].mesh_read;
   const Topology& mesh = master_.topology.fine;
   const auto vertices = static_cast<std::size_t>(mesh.vertex_count()),
              faces = static_cast<std::size_t>(mesh.face_count());
@@ -128,6 +128,56 @@ TEST_F(LoadPairs, OneFrameInTwoOfTheTrainingSequences) {
     part.answer.read(f, 0, 0, 36, 48, image.data());
     EXPECT_EQ(image, expected) << f;  // velocities of the frame before, too
   }
+}
+
+TrainConfig any_mesh(TrainConfig c) {
+  c.serves = "any";
+  c.images.layout = "detail", c.images.units = "coarse_edges";
+  c.images.coarse_width = c.images.coarse_height = 0;
+  c.losses.kinematic = 0;
+  return c;
+}
+
+TEST_F(LoadPairs, SequencesMayHaveMeshesOfTheirOwn) {
+  write_two_meshes(folder_);
+  TrainConfig c = any_mesh(config());
+  c.patch = 0, c.losses.vertices = 1;
+  const LoadedPairs loaded = load_pairs(c, quiet);
+  const PairData& data = loaded.data;
+  ASSERT_EQ(data.sequences.size(), 4U);
+  ASSERT_EQ(data.meshes.size(), 2U);
+  EXPECT_THAT(data.description, HasSubstr("\"meshes\":2"));
+  const DatasetReader reader(folder_);
+  for (std::size_t s = 0; s < 4; ++s) {
+    const PairSequence& sequence = data.sequences[s];
+    const PairMesh& mesh = data.mesh_of(sequence);
+    const auto meshes = reader.meshes(sequence.name);
+    EXPECT_EQ(sequence.mesh, s / 2);
+    EXPECT_EQ(mesh.topology_hash, topology_hash(meshes->coarse));
+    EXPECT_NEAR(mesh.mesh_read.unit_m, mean_edge_length(meshes->coarse), 1e-6);
+    EXPECT_EQ(mesh.mesh_read.vertex_count(), meshes->fine.vertex_count());
+    EXPECT_EQ(mesh.constants.shape[1], sequence.input.height());
+    const auto height = sequence.answer.height(), width = sequence.answer.width();
+    EXPECT_EQ(mesh.answer_mask.size(), static_cast<std::size_t>(height) * static_cast<std::size_t>(width));
+    if (!sequence.validation) continue;
+    // Each is judged as its own mesh: the true answer is nearly the true mesh.
+    std::vector<float> answer(3 * mesh.answer_mask.size()), nothing(answer.size(), 0.0F);
+    sequence.answer.read(2, 0, 0, height, width, answer.data());
+    const double interpolated = loaded.judge->barycentric_squared_error(s, 2);
+    EXPECT_LT(loaded.judge->squared_error(s, 2, answer), 1e-3 * interpolated);
+    EXPECT_NEAR(loaded.judge->squared_error(s, 2, nothing), interpolated, 1e-6 * interpolated);
+    Positions base;
+    data.geometry->base(s, 2, base);
+    EXPECT_EQ(base.rows(), meshes->fine.vertex_count());
+  }
+  EXPECT_NE(data.sequences[0].input.width(), data.sequences[2].input.width());
+}
+
+TEST_F(LoadPairs, SeveralMeshesNeedABundleForAny) {
+  write_two_meshes(folder_);
+  TrainConfig c = any_mesh(config());
+  c.serves = "mesh";
+  EXPECT_THAT(error_of([&] { load_pairs(c, quiet); }).what(), HasSubstr("'serves' = 'any'"));
 }
 
 /// The detail layout, for any rounds and either rule, judged as a mesh.
@@ -191,7 +241,7 @@ TEST_F(LoadPairs, VertexFeaturesHaveAPlaceForEachFace) {
   const double upsampled = loaded.judge->barycentric_squared_error(1, 2);
   EXPECT_LT(loaded.judge->squared_error(1, 2, answer), 1e-4 * upsampled);
   EXPECT_NEAR(loaded.judge->squared_error(1, 2, nothing), upsampled, 1e-4 * upsampled);
-  EXPECT_EQ(data.mesh_read.vertex_count(), master_.topology.fine.vertex_count());
+  EXPECT_EQ(data.meshes[0].mesh_read.vertex_count(), master_.topology.fine.vertex_count());
 }
 
 TEST_F(LoadPairs, WindowsShowTheFramesBefore) {
@@ -417,7 +467,7 @@ TEST_F(LoadPairs, FeaturesAreScaledByChannelByGroupOrToThePublishedRange) {
     answers.read(f, 0, 0, answers.height(), answers.width(), values.data());
     const std::size_t plane = values.size() / 12;
     for (std::size_t i = 0; i < values.size(); ++i) {
-      if (published.answer_mask[i % plane] == 0) continue;
+      if (published.meshes[0].answer_mask[i % plane] == 0) continue;
       const std::size_t channel = i / plane, group = channel < 3 ? 0 : channel < 6 ? 1 : 2;
       low[group] = std::min(low[group], values[i]), high[group] = std::max(high[group], values[i]);
     }
@@ -453,7 +503,7 @@ TEST_F(LoadPairs, ANetworkThatConvolvesKnowsTheMeshes) {
       EXPECT_EQ(map->places.size(), 2 * edges);
     }
     // Reading and writing are inverse.
-    ASSERT_EQ(mesh.fine_read.rows(), static_cast<std::int64_t>(data.answer_mask.size()));
+    ASSERT_EQ(mesh.fine_read.rows(), static_cast<std::int64_t>(data.meshes[0].answer_mask.size()));
     for (Eigen::Index v = 0; v < fine.vertex_count(); ++v) {
       const auto first = mesh.fine.offsets[static_cast<std::size_t>(v)],
                  last = mesh.fine.offsets[static_cast<std::size_t>(v) + 1];

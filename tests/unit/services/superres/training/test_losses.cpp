@@ -247,6 +247,22 @@ double plain_vertex_losses(const torch::Tensor& synthesized, const Batch& batch,
   return sum / images;
 }
 
+/// The weights of the reads hold the unit: what counts is the answer's own.
+TEST(VertexLosses, DoNotDependOnTheUnitOfTheAnswer) {
+  Batch batch = example_batch();
+  LossConstants metres = example_constants(), edges = metres;
+  MeshRead read = example_read();
+  add_vertices(read, batch, metres);
+  read.unit_m = 0.05F;
+  for (float& weight : read.weights) weight *= read.unit_m;
+  edges.set_vertices(read, torch::kCPU);
+  LossConfig config;
+  config.vertices = 1;
+  const auto synthesized = torch::rand_like(batch.answer);
+  const double expected = compute_losses(synthesized, batch, metres, config).vertices.item<double>();
+  EXPECT_NEAR(compute_losses(synthesized, batch, edges, config).vertices.item<double>(), expected, 1e-5 * expected);
+}
+
 TEST(VertexLosses, AgreeWithPlainLoopsAndFiniteDifferences) {
   Batch batch = example_batch();
   LossConstants constants = example_constants();

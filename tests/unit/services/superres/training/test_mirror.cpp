@@ -81,8 +81,8 @@ TEST_P(MirrorLayouts, TheMirroredClothHasTheMirroredPair) {
   PairData data;
   data.representation = spec;
   data.input_channels = representation->input_channels(), data.answer_channels = representation->answer_channels();
-  data.constants = representation->constants();
-  data.sheet_axes = {{1, 0, 0}, {0, 0, -1}};
+  data.meshes[0].constants = representation->constants();
+  data.meshes[0].sheet_axes = {{1, 0, 0}, {0, 0, -1}};
   for (auto [ranges, count] : {std::pair{&data.input_ranges, data.input_channels.size()},
                                std::pair{&data.output_ranges, data.answer_channels.size()}}) {
     for (std::size_t c = 0; c < count; ++c) {
@@ -103,7 +103,7 @@ TEST_P(MirrorLayouts, TheMirroredClothHasTheMirroredPair) {
     }
     normalize(data.output_ranges, answer);
     auto image = to_torch(input);
-    if (data.constant_channels() > 0) image = torch::cat({image, to_torch(data.constants)}, 0);
+    if (data.constant_channels() > 0) image = torch::cat({image, to_torch(data.meshes[0].constants)}, 0);
     return std::pair(image, to_torch(answer));
   };
   const Mirror mirror(data);
@@ -123,10 +123,20 @@ INSTANTIATE_TEST_SUITE_P(All, MirrorLayouts,
 
 TEST(Mirror, RefusesWhatItDoesNotKnow) {
   PairData data;
-  data.input_channels = {"density"}, data.input_ranges = {{0}, {1}, 0};
+  data.input_channels = {"normal_x", "normal_y", "normal_z"};
+  data.input_ranges = {std::vector<float>(3, 0), std::vector<float>(3, 1), 0};
   EXPECT_THAT(test::error_of([&] { Mirror mirror(data); }).what(), testing::HasSubstr("not flat"));
-  data.sheet_axes = {{1, 0, 0}, {0, 0, -1}};
+  data.meshes[0].sheet_axes = {{1, 0, 0}, {0, 0, -1}};
+  EXPECT_NO_THROW(Mirror{data});
+  data.input_channels = {"density"}, data.input_ranges = {{0}, {1}, 0};
   EXPECT_THAT(test::error_of([&] { Mirror mirror(data); }).what(), testing::HasSubstr("'density'"));
+  // In the cloth's own axes any garment has a mirror image.
+  data.meshes[0].sheet_axes.clear();
+  data.input_channels = {"strain_uv"};
+  const Mirror mirror(data);
+  const auto image = torch::full({1, 2, 2}, 0.25F);
+  EXPECT_EQ(mirror.input(image, 1)[0][0][0].item<float>(), -0.25F);
+  EXPECT_EQ(mirror.input(image, 4)[0][0][0].item<float>(), 0.25F);
 }
 
 }  // namespace

@@ -115,7 +115,7 @@ TEST_P(HistoryTraining, TheBundleDoesWhatTheTrainerSaw) {
   options.use_cuda = false;
   options.threads = 1;
   Engine engine(options, "waves"), replica(options, "waves");
-  const auto constants = engine.take_constants(pairs.data.constants);
+  const auto constants = engine.take_constants(pairs.data.meshes[0].constants);
   EXPECT_GT(memory_values(engine.describe()), 0U);
   const std::size_t index = pairs.data.sequences[0].validation ? 0 : 1;
   const PairSequence& sequence = pairs.data.sequences[index];

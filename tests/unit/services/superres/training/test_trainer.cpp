@@ -7,15 +7,18 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "common/base/error.hpp"
 #include "services/superres/bundle/folder.hpp"
 #include "services/superres/engine.hpp"
 #include "services/superres/training/checkpoint.hpp"
 #include "services/superres/training/log.hpp"
+#include "services/superres/training/sampler.hpp"
 #include "services/superres/training/trainer.hpp"
 #include "tests/support/errors.hpp"
 #include "tests/support/temporary_folder.hpp"
+#include "tests/unit/services/superres/example_dataset.hpp"
 
 namespace pleat::superres {
 namespace {
@@ -35,10 +38,10 @@ PairData waves(int sequences, int frames) {
   conversion::GeometryImageSpec spec;
   spec.image.coarse_width = kWidth, spec.image.coarse_height = kHeight;
   data.representation.kind = spec;
-  data.topology_hash = "00000000000000aa";
-  data.answer_mask.assign(16 * kHeight * kWidth, 1);
-  data.answer_mask[0] = 0;
-  data.sheet_axes = {{1, 0, 0}, {0, 0, 1}};
+  data.meshes[0].topology_hash = "00000000000000aa";
+  data.meshes[0].answer_mask.assign(16 * kHeight * kWidth, 1);
+  data.meshes[0].answer_mask[0] = 0;
+  data.meshes[0].sheet_axes = {{1, 0, 0}, {0, 0, 1}};
   for (int s = 0; s < sequences; ++s) {
     PairSequence sequence;
     sequence.name = "wave" + std::to_string(s);
@@ -155,9 +158,9 @@ TEST_F(TrainerTest, LearnsDetailThatInterpolationLacks) {
     sequence.input.read(f, 0, 0, kHeight, kWidth, coarse.values.data());
     sequence.answer.read(f, 0, 0, 4 * kHeight, 4 * kWidth, fine.data());
     const auto output = engine.upscale({&coarse}).values;
-    const std::size_t plane = data.answer_mask.size();
+    const std::size_t plane = data.meshes[0].answer_mask.size();
     for (std::size_t i = 0; i < 3 * plane; ++i) {
-      if (data.answer_mask[i % plane] != 0) error += std::pow(output[i] - fine[i], 2), count += 1;
+      if (data.meshes[0].answer_mask[i % plane] != 0) error += std::pow(output[i] - fine[i], 2), count += 1;
     }
   }
   EXPECT_NEAR(-10 * std::log10(error / count), result.best.psnr_db, 0.01);
@@ -267,7 +270,7 @@ constexpr double kCalmRate = 1e-3;
 TEST_F(TrainerTest, PassesOfFewerWindowsAddUpToTheSameStep) {
   PairData data = waves(2, 8);
   // Patches with different numbers of valid texels: their shares have to count.
-  for (std::size_t i = 0; i < data.answer_mask.size() / 3; ++i) data.answer_mask[i] = 0;
+  for (std::size_t i = 0; i < data.meshes[0].answer_mask.size() / 3; ++i) data.meshes[0].answer_mask[i] = 0;
   TrainConfig whole = config("whole");
   whole.batch = 5;
   whole.optimizer.learning_rate = kCalmRate;
@@ -282,7 +285,7 @@ TEST_F(TrainerTest, PassesOfFewerWindowsAddUpToTheSameStep) {
 
 TEST_F(TrainerTest, PassesAddUpWithLossesOnVertices) {
   PairData data = waves(2, 8);
-  data.mesh_read = strip();
+  data.meshes[0].mesh_read = strip();
   const auto run = [&](const std::string& output, int micro_batch) {
     TrainConfig c = config(output);
     c.batch = 5, c.micro_batch = micro_batch, c.patch = 0, c.mirror = true;
@@ -304,7 +307,7 @@ TEST_F(TrainerTest, PassesAddUpWithLossesOnVertices) {
   EXPECT_GT(a.last.wrinkles, 0);
   EXPECT_NEAR(logged.back().wrinkles, a.last.wrinkles, 1e-6 * a.last.wrinkles);
 
-  data.mesh_read = {};
+  data.meshes[0].mesh_read = {};
   EXPECT_THROW(run("none", 0), Error);
 }
 
@@ -385,10 +388,10 @@ TEST_F(TrainerTest, LearnsDetailFromAWindowAndConstants) {
   data.input_channels = {"strain_uu", "velocity_normal"};
   data.answer_channels = {"detail_along", "detail_across", "detail_normal"};
   data.input_ranges = {{0, 0}, {1, 1}, 6}, data.output_ranges = {{0, 0, 0}, {0.01F, 0.01F, 0.01F}, 0};
-  data.constants = {{2, kHeight, kWidth}, {}, std::vector<float>(2 * kHeight * kWidth)};
-  for (std::size_t i = 0; i < data.constants.values.size(); ++i)
-    data.constants.values[i] = std::sin(0.4F * static_cast<float>(i));
-  data.mesh_read = strip();
+  data.meshes[0].constants = {{2, kHeight, kWidth}, {}, std::vector<float>(2 * kHeight * kWidth)};
+  for (std::size_t i = 0; i < data.meshes[0].constants.values.size(); ++i)
+    data.meshes[0].constants.values[i] = std::sin(0.4F * static_cast<float>(i));
+  data.meshes[0].mesh_read = strip();
   struct Turned final : FrameGeometry {
     void axes(std::size_t, std::size_t, Tensor& axes) const override {
       axes = {{9, kHeight, kWidth}, {}, std::vector<float>(9 * kHeight * kWidth, 0.0F)};
@@ -441,6 +444,124 @@ TEST_F(TrainerTest, TimeLimitEndsWithABundle) {
   EXPECT_TRUE(fs::exists(result.bundle));
 }
 
+class SeveralMeshes : public testing::Test {
+ protected:
+  void SetUp() override { write_two_meshes(temporary_.path() / "data"); }
+  TrainConfig config(const std::string& output) const {
+    TrainConfig c;
+    c.name = "any";
+    c.dataset = (temporary_.path() / "data").string();
+    c.output = (temporary_.path() / output).string();
+    c.serves = "any";
+    c.images.layout = "detail", c.images.units = "coarse_edges";
+    c.architecture = complete({"mfsr", R"({"blocks": 1, "layers": 2, "growth": 8, "features": 8})"});
+    c.losses.kinematic = 0, c.losses.vertices = 0.9, c.losses.edges = 0.1;
+    c.losses.scaling = "deviation";
+    c.optimizer.learning_rate = 3e-3;
+    c.schedule.kind = "constant";
+    c.validation.every_frames = 2;
+    c.mirror = true;
+    c.batch = 5, c.patch = 0, c.epochs = 4, c.steps_per_epoch = 10;
+    c.threads = 1, c.device = "cpu", c.checkpoint_minutes = 0;
+    return c;
+  }
+  static LoadedPairs load(const TrainConfig& c) {
+    return load_pairs(c, [](const std::string&) {});
+  }
+  const test::TemporaryFolder temporary_;
+};
+
+TEST_F(SeveralMeshes, ShareTheStepsAndEachPassIsOfOne) {
+  const TrainConfig c = config("out");
+  const LoadedPairs pairs = load(c);
+  const Sampler sampler(c, pairs.data);
+  std::set<std::size_t> seen;
+  bool mixed = false;
+  for (int step = 0; step < 6; ++step) {
+    const std::vector<int> ends = sampler.passes(0, step, 0, c.batch, 2);
+    EXPECT_EQ(ends.back(), c.batch);
+    std::set<std::size_t> of_step;
+    double texels = 0;
+    int first = 0;
+    for (const int end : ends) {
+      ASSERT_GT(end, first);
+      ASSERT_LE(end - first, 2);
+      const Batch batch = sampler.batch(0, step, first, end);
+      const PairMesh& mesh = pairs.data.meshes[batch.mesh];
+      EXPECT_EQ(batch.vertex_base.size(2), mesh.mesh_read.vertex_count());
+      EXPECT_EQ(batch.input.size(2), mesh.constants.shape[1]);
+      texels += batch.mask.sum().item<double>();
+      of_step.insert(batch.mesh);
+      first = end;
+    }
+    EXPECT_EQ(texels, sampler.valid_texels(0, step));
+    seen.insert(of_step.begin(), of_step.end());
+    mixed |= of_step.size() > 1;
+  }
+  EXPECT_EQ(seen.size(), 2U);
+  EXPECT_TRUE(mixed);
+}
+
+TEST_F(SeveralMeshes, AreLearntTogetherAndServedByOneBundle) {
+  const TrainConfig c = config("out");
+  LoadedPairs pairs = load(c);
+  const TrainResult result = train(c, pairs.data, pairs.judge.get(), {});
+  EXPECT_GT(result.best.gain_db, 1);
+  EngineOptions options;
+  options.folder = c.output;
+  options.precision = Precision::kFloat32;
+  options.use_cuda = false;
+  options.threads = 1;
+  Engine engine(options, "any");
+  EXPECT_TRUE(engine.describe().topology_hash.empty());
+  EXPECT_NEAR(engine.describe().metrics.at("gain_db"), result.best.gain_db, 1e-9);
+  // What the trainer said is the mean of both sequences' gains, each in its own mesh.
+  double gains = 0, count = 0;
+  for (std::size_t s = 0; s < pairs.data.sequences.size(); ++s) {
+    const PairSequence& sequence = pairs.data.sequences[s];
+    if (!sequence.validation) continue;
+    const ImageStore& input = sequence.input;
+    const auto constants = engine.take_constants(pairs.data.mesh_of(sequence).constants);
+    double error = 0, upsampling = 0;
+    for (std::size_t f = 0; f < input.size(); f += 2) {
+      Tensor frame{{input.channels(), input.height(), input.width()}, {}, {}};
+      frame.values.resize(static_cast<std::size_t>(input.channels() * input.height() * input.width()));
+      input.read(f, 0, 0, input.height(), input.width(), frame.values.data());
+      const Tensor answer = engine.upscale(NetworkInput{&frame, constants});
+      error += pairs.judge->squared_error(s, f, answer.values);
+      upsampling += pairs.judge->barycentric_squared_error(s, f);
+    }
+    gains += 10 * std::log10(upsampling / error);
+    count += 1;
+  }
+  EXPECT_EQ(count, 2);
+  EXPECT_NEAR(gains / count, result.best.gain_db, 0.01);
+}
+
+TEST_F(SeveralMeshes, SmallPassesMakeTheSameCurveAndGoOnExactly) {
+  TrainConfig c = config("whole");
+  c.epochs = 2, c.steps_per_epoch = 4;
+  LoadedPairs pairs = load(c);
+  const TrainResult whole = train(c, pairs.data, pairs.judge.get(), {});
+  TrainConfig small = c;
+  small.output = (temporary_.path() / "small").string(), small.micro_batch = 1;
+  const TrainResult parts = train(small, pairs.data, pairs.judge.get(), {});
+  EXPECT_NEAR(parts.last.total, whole.last.total, 1e-4 * whole.last.total);
+  TrainConfig cut = c;
+  cut.output = (temporary_.path() / "cut").string(), cut.epochs = 1;
+  train(cut, pairs.data, pairs.judge.get(), {});
+  cut.epochs = 2;
+  EXPECT_EQ(train(cut, pairs.data, pairs.judge.get(), {}).last.total, whole.last.total);
+}
+
+TEST_F(SeveralMeshes, NetworksThatRememberNeedOne) {
+  TrainConfig c = config("out");
+  c.architecture = complete({"mfsr", R"({"blocks": 1, "layers": 2, "growth": 8, "features": 8, "history": 1})"});
+  c.mirror = false;
+  const LoadedPairs pairs = load(c);
+  EXPECT_THAT(test::error_of([&] { train(c, pairs.data, nullptr, {}); }).what(), HasSubstr("one mesh"));
+}
+
 TEST_F(TrainerTest, DataWithoutTrainingFramesIsRefused) {
   PairData data = waves(2, 6);
   data.sequences.front().validation = true;
@@ -448,7 +569,7 @@ TEST_F(TrainerTest, DataWithoutTrainingFramesIsRefused) {
   PairData one = waves(2, 2);  // shorter than a window of three
   EXPECT_THROW(train(config(), one, nullptr, {}), Error);
   PairData bent = waves(2, 6);
-  bent.sheet_axes.clear();
+  bent.meshes[0].sheet_axes.clear();
   TrainConfig c = config();
   c.mirror = true;
   EXPECT_THROW(train(c, bent, nullptr, {}), Error);
