@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "common/base/simd.hpp"
+#include "common/mesh/closest_points8.hpp"
 #include "services/simulation/contact.hpp"
 
 namespace pleat::simulation {
@@ -17,19 +18,6 @@ using Eigen::Vector3d;
 constexpr std::size_t kMostJoinedFaces = 100'000;
 
 constexpr std::size_t kLanes = 8;
-
-// Three coordinates of eight points.
-struct Points8 {
-  Float8 x, y, z;
-
-  Points8 operator+(const Points8& o) const { return {x + o.x, y + o.y, z + o.z}; }
-  Points8 operator-(const Points8& o) const { return {x - o.x, y - o.y, z - o.z}; }
-  Points8 operator*(Float8 s) const { return {s * x, s * y, s * z}; }
-};
-Float8 dot(const Points8& a, const Points8& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-Points8 cross(const Points8& a, const Points8& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
 
 // Eight particles: where the step starts, and by how much they move in it.
 struct Moving8 {
@@ -50,39 +38,6 @@ Moving8 gather(const std::vector<SweptBox>& boxes, const IndexOf& index_of) {
   transpose(start, s);
   transpose(motion, m);
   return {{s[0], s[1], s[2]}, {m[0], m[1], m[2]}};
-}
-
-// What float32 may be wrong by in any coordinate or distance, metres.
-Float8 rounding(const Points8& p) { return 1e-6f * (1 + max(max(abs(p.x), abs(p.y)), abs(p.z))); }
-
-Float8 clamp01(Float8 t) { return min(max(t, Float8{}), broadcast8(1)); }
-
-Float8 squared_distance_to_segment(const Points8& p, const Points8& a, const Points8& b) {
-  const Points8 ab = b - a, ap = p - a;
-  const Points8 way = ap - ab * clamp01(dot(ap, ab) / max(dot(ab, ab), broadcast8(1e-30f)));
-  return dot(way, way);
-}
-
-Float8 squared_vertex_face_distance(const Points8& p, const Points8& a, const Points8& b, const Points8& c) {
-  const Points8 ab = b - a, ac = c - a, ap = p - a, normal = cross(ab, ac);
-  const Float8 area = dot(normal, normal), v = dot(cross(ap, ac), normal), w = dot(cross(ab, ap), normal);
-  const Int8 inside = (v >= 0) & (w >= 0) & (v + w <= area) & (area > 0);
-  const Float8 height = dot(normal, ap), plane = height * height / max(area, broadcast8(1e-30f));
-  const Float8 edges = min(squared_distance_to_segment(p, a, b),
-                           min(squared_distance_to_segment(p, b, c), squared_distance_to_segment(p, c, a)));
-  return select(inside, min(plane, edges), edges);
-}
-
-// Ericson 2005, section 5.1.9. Where the segments are almost parallel rounding moves the points along them, which
-// changes the distance by next to nothing.
-Float8 squared_edge_edge_distance(const Points8& a0, const Points8& a1, const Points8& b0, const Points8& b1) {
-  const Points8 d1 = a1 - a0, d2 = b1 - b0, r = a0 - b0;
-  const Float8 tiny = broadcast8(1e-30f);
-  const Float8 a = max(dot(d1, d1), tiny), e = max(dot(d2, d2), tiny), b = dot(d1, d2), c = dot(d1, r), f = dot(d2, r);
-  const Float8 s = clamp01((b * f - c * e) / max(a * e - b * b, tiny));
-  const Float8 t = clamp01((b * s + f) / e);
-  const Points8 way = r + d1 * clamp01((b * t - c) / a) - d2 * t;
-  return dot(way, way);
 }
 
 }  // namespace
@@ -226,7 +181,7 @@ void ContactSystem::keep_close(std::span<const Pair> candidates, const Points& s
     const Points8 x0 = p[0].end(), x1 = p[1].end(), x2 = p[2].end(), x3 = p[3].end();
     const Float8 squared =
         select(edges, squared_edge_edge_distance(x0, x1, x2, x3), squared_vertex_face_distance(x0, x1, x2, x3));
-    const Float8 distance = (1 - 1e-5f) * sqrt(squared) - 4 * rounding(x0);
+    const Float8 distance = at_least(squared, max(max(rounding(x0), rounding(x1)), max(rounding(x2), rounding(x3))));
     const std::uint32_t far = bits(distance > max(reach, bound + beyond));
     for (std::size_t k = 0; k < count; ++k) {
       double clearance = static_cast<double>(distance[static_cast<int>(k)]);
