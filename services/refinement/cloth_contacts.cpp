@@ -10,6 +10,8 @@ namespace {
 
 using Vec3 = Eigen::Vector3d;
 
+constexpr std::size_t kPatchesPerRange = 32;
+
 enum Side : std::uint8_t { kUnknown, kOutside, kInside };
 
 std::uint32_t root_of(std::vector<std::uint32_t>& parent, std::uint32_t i) {
@@ -46,6 +48,11 @@ void ClothContacts::collect(std::uint32_t vertex, std::vector<std::uint32_t>& ou
   if (stamps_[vertex] == stamp_) return;
   stamps_[vertex] = stamp_;
   out.push_back(vertex);
+}
+
+void ClothContacts::prepare_packs(std::size_t patches) {
+  const std::size_t ranges = (patches + kPatchesPerRange - 1) / kPatchesPerRange;
+  if (packs_.size() < ranges) packs_.resize(ranges);
 }
 
 bool ClothContacts::is_inside(MeshScan& scan, std::uint32_t vertex) const {
@@ -95,8 +102,9 @@ void ClothContacts::scan(const Positions& positions, const MeshObstacle& mesh, c
   scan.cut.resize(scan.patches.size());
   scan.parent.resize(stamps_.size());
   scan.side.resize(stamps_.size());
+  prepare_packs(scan.patches.size());
   const auto cross = [&](std::size_t begin, std::size_t end) {
-    std::vector<std::uint32_t> packs;
+    std::vector<std::uint32_t>& packs = packs_[begin / kPatchesPerRange];
     for (std::size_t i = begin; i < end; ++i) {
       const auto [first, last] = finder.patch_faces(scan.patches[i]);
       packs.clear();
@@ -111,7 +119,7 @@ void ClothContacts::scan(const Positions& positions, const MeshObstacle& mesh, c
       scan.cut[i] = any;
     }
   };
-  for_ranges(pool_, scan.patches.size(), 32, cross);
+  for_ranges(pool_, scan.patches.size(), kPatchesPerRange, cross);
 
   begin_collecting();
   scan.vertices.clear();
@@ -167,8 +175,9 @@ void ClothContacts::find_contacts(const Positions& positions, const ObstacleFiel
     found_[v] = contact;
     is_found_[v] = 1;
   };
+  prepare_packs(patches_.size());
   const auto search = [&](std::size_t begin, std::size_t end) {
-    std::vector<std::uint32_t> packs;
+    std::vector<std::uint32_t>& packs = packs_[begin / kPatchesPerRange];
     for (std::size_t i = begin; i < end; ++i) {
       const std::span<const std::uint32_t> own = own_vertices_of(patches_[i]);
       const Box around = widened(finder.patch_box(patches_[i]), reach);
@@ -191,7 +200,7 @@ void ClothContacts::find_contacts(const Positions& positions, const ObstacleFiel
       }
     }
   };
-  for_ranges(pool_, patches_.size(), 32, search);
+  for_ranges(pool_, patches_.size(), kPatchesPerRange, search);
   // Deep inside a mesh, few if any: the nearest face is searched without bound.
   for (std::size_t part = 0; part < field.parts().size(); ++part) {
     const ObstacleField::Part& obstacle = field.parts()[part];

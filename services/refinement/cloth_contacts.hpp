@@ -65,6 +65,7 @@ class ClothContacts {
   struct PatchVertices {
     std::uint32_t begin, own_end, end;
   };
+  void prepare_packs(std::size_t patches);
   void list_patch_vertices(const SelfIntersectionFinder& finder);
   std::span<const std::uint32_t> vertices_of(std::uint32_t patch) const {
     const PatchVertices& list = patch_lists_[patch];
@@ -83,10 +84,11 @@ class ClothContacts {
   std::vector<std::uint32_t> stamps_;  // per vertex: the last collection that has it
   std::uint32_t stamp_ = 0;
   std::vector<Box> boxes_;
-  std::vector<std::uint32_t> patches_;  // near obstacles
-  std::vector<ObstacleContact> found_;  // per vertex
-  std::vector<std::uint8_t> is_found_;  // per vertex
-  std::vector<std::uint8_t> is_moved_;  // per patch
+  std::vector<std::uint32_t> patches_;             // near obstacles
+  std::vector<std::vector<std::uint32_t>> packs_;  // of an obstacle, near a patch; for each range of a loop
+  std::vector<ObstacleContact> found_;             // per vertex
+  std::vector<std::uint8_t> is_found_;             // per vertex
+  std::vector<std::uint8_t> is_moved_;             // per patch
 };
 
 }  // namespace pleat::refinement
