@@ -301,6 +301,10 @@ struct FoldStep::Work {
     near_faces.clear();
     near_obstacles.clear();
     obstacles.append_bounds(kObstacleReach, near_obstacles);
+    // From one place to another the distance changes by the way between them at most: a face with room around it speaks
+    // for its neighbours.
+    Float4 far_place{};
+    double far = -1;
     for (std::uint32_t face = 0; face < static_cast<std::uint32_t>(coarse.face_count()); ++face) {
       const std::span<const std::uint32_t> members = layers.vertices_of(face);
       if (members.empty()) continue;
@@ -313,11 +317,19 @@ struct FoldStep::Work {
         squared = std::max(squared, dot(offset, offset));
       }
       const double radius = 1.001 * std::sqrt(static_cast<double>(squared)) + 1e-6;
+      const double reach = radius + kObstacleReach, depth = radius + kObstacleDepth;
+      if (far - static_cast<double>(norm(middle - far_place)) > reach + kRounding) continue;
       Box place;
       place.extend(point_at(origin, middle), radius);
-      if (std::any_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); }) &&
-          obstacles.contact_near(point_at(origin, middle), radius + kObstacleReach, radius + kObstacleDepth)) {
+      if (std::none_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); })) {
+        continue;
+      }
+      const auto contact = obstacles.contact_near(point_at(origin, middle), depth, depth);
+      if (contact && contact->distance <= reach) {
         near_faces.push_back(face);
+      } else if (contact) {
+        far = contact->distance;
+        far_place = middle;
       }
     }
   }
