@@ -263,7 +263,8 @@ std::optional<ObstacleContact> MeshObstacle::contact_near(const Vec3& p, double 
                                                           std::span<const std::uint32_t> packs) const {
   Nearest best{reach * reach};
   for (const std::uint32_t pack : packs) {
-    if (squared_distance(boxes_[pack], p) <= best.squared) consider_pack(p, packs_[pack], best);
+    // Rounding must not leave out a face as near as the best one.
+    if ((1 - 1e-12) * squared_distance(boxes_[pack], p) <= best.squared) consider_pack(p, packs_[pack], best);
   }
   return contact_at(p, best);
 }
