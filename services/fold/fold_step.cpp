@@ -108,7 +108,7 @@ struct FoldStep::Work {
   std::vector<std::uint32_t> pins;
 
   // One more than there are vertices, as scratch place of packs.
-  std::vector<Float4> x, v, before, from, way, given, normals, moved;
+  std::vector<Float4> x, v, before, from, way, given, normals, moved, pull;
   std::span<const LayerContact> layer_contacts;
   std::vector<refinement::FacePair> pairs;
   std::vector<float> tangled, wider;
@@ -149,7 +149,8 @@ struct FoldStep::Work {
     touching.assign(coarse_count, 0);
     tangled.assign(count, 0);
     fixed.assign(count, 0);
-    for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
+    for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved, &pull})
+      buffer->assign(count + 1, Float4{});
   }
 
   void check(const FoldFrame& frame, const FoldState& state) const {
@@ -444,6 +445,7 @@ struct FoldStep::Work {
             return Tracking::Lack{from[i] + time * way[i] - x[i], inverse * way[i] - v[i], v[i]};
           },
           static_cast<float>(options.frequency), static_cast<float>(kPullEvery) * step_s);
+      for (std::uint32_t i = 0; i < count; ++i) pull[i] = tracking.at(i);
     }
     // The velocity with which a cloth without a state begins has met gravity and air in this frame already.
     const Float4 gravity = restarted ? Float4{} : to_float4(options.gravity);
@@ -454,14 +456,14 @@ struct FoldStep::Work {
     for (std::uint32_t i = 0; i < count; ++i) {
       before[i] = x[i];
       Float4 velocity = v[i] + viscous * viscosity.lack(i, v);
-      Float4 acceleration = gravity + tracking.at(i);
+      Float4 acceleration = gravity + pull[i];
       if (guided) {
         acceleration += kStartFrequency * kStartFrequency * (given[i] - (1 - middle) * way[i] - x[i]);
       }
       if (tangled[i] > 0) {
-        const float pull = tangled[i] * kTangleFrequency;
+        const float frequency = tangled[i] * kTangleFrequency;
         const Float4 place = guided ? given[i] - (1 - middle) * way[i] : from[i] + middle * way[i];
-        acceleration += pull * pull * (place - x[i]) + 2 * pull * (per_frame * way[i] - velocity);
+        acceleration += frequency * frequency * (place - x[i]) + 2 * frequency * (per_frame * way[i] - velocity);
       }
       velocity += step_s * acceleration;
       velocity -= along * (velocity - per_frame * way[i]);
