@@ -270,7 +270,9 @@ std::optional<ObstacleContact> MeshObstacle::contact_near(const Vec3& p, double 
 }
 
 std::optional<ObstacleContact> MeshObstacle::contact_at(const Vec3& p, const Nearest& nearest) const {
-  const auto& [best, best_face, best_weights] = nearest;
+  const double best = nearest.squared;
+  const std::uint32_t best_face = nearest.face;
+  const Vec3& best_weights = nearest.weights;
   if (best_face == kNone) return std::nullopt;
   Vec3 closest = Vec3::Zero();
   for (int k = 0; k < 3; ++k) closest += best_weights[k] * point(positions_, faces_(best_face, k));
