@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <span>
 #include <string>
 
 #include "common/base/checks.hpp"
@@ -15,6 +16,7 @@ namespace pleat {
 namespace {
 
 using Vec3 = Eigen::Vector3d;
+using Vec3f = Eigen::Vector3f;
 
 // Nearer to the surface or to an axis than this, the direction to it says nothing.
 constexpr double kNoDirection = 1e-9;
@@ -33,15 +35,6 @@ Box box_of(const Triangle3f& t) {
     box.upper[k] = std::max({t[0][axis], t[1][axis], t[2][axis]});
   }
   return box;
-}
-
-Box widened(const Box& box, double margin) {
-  Box wide;
-  for (const auto& corner : {box.lower, box.upper}) {
-    wide.extend(Vec3(static_cast<double>(corner[0]), static_cast<double>(corner[1]), static_cast<double>(corner[2])),
-                margin);
-  }
-  return wide;
 }
 
 // Adds `move` to the point with barycentric coordinates b of a face by moving its corners as little as possible.
@@ -157,12 +150,44 @@ MeshObstacle::MeshObstacle(const Faces& faces, Eigen::Index vertex_count, const 
                              std::to_string(edge.v1));
     }
   }
-  boxes_.resize(static_cast<std::size_t>(faces.rows()));
+}
+
+// Near in the first frame is near later on.
+void MeshObstacle::build_packs() {
+  std::vector<Box> boxes;
+  for (std::uint32_t f = 0; f < static_cast<std::uint32_t>(faces_.rows()); ++f) {
+    boxes.push_back(box_of(corners(positions_, faces_, f)));
+  }
+  const std::vector<std::uint32_t> order = near_groups(boxes, kWidth);
+  packs_.resize((order.size() + kWidth - 1) / kWidth);
+  for (std::size_t i = 0; i < packs_.size() * kWidth; ++i) {
+    packs_[i / kWidth].faces[i % kWidth] = order[std::min(i, order.size() - 1)];
+  }
+  boxes_.resize(packs_.size());
 }
 
 void MeshObstacle::update(const Positions& positions) {
   positions_ = positions;
-  for (std::uint32_t f = 0; f < boxes_.size(); ++f) boxes_[f] = box_of(corners(positions, faces_, f));
+  if (packs_.empty()) build_packs();
+  for (std::size_t i = 0; i < packs_.size(); ++i) {
+    Pack& pack = packs_[i];
+    Float4 low = broadcast4(3e38f), high = broadcast4(-3e38f);
+    for (std::size_t k = 0; k < 3; ++k) {
+      Float4 rows[kWidth];
+      for (std::size_t lane = 0; lane < kWidth; ++lane) {
+        const float* at = positions_.data() + 3 * std::size_t{faces_(pack.faces[lane], static_cast<Eigen::Index>(k))};
+        rows[lane] = Float4{at[0], at[1], at[2], 0};
+        low = min(low, rows[lane]);
+        high = max(high, rows[lane]);
+      }
+      Float8 columns[4];
+      transpose(rows, columns);
+      pack.corners[k] = {columns[0], columns[1], columns[2]};
+    }
+    pack.error = max(max(rounding(pack.corners[0]), rounding(pack.corners[1])), rounding(pack.corners[2]));
+    store_to(boxes_[i].lower, low);
+    store_to(boxes_[i].upper, high);
+  }
   if (tree_.empty()) {
     tree_ = Bvh(boxes_);
   } else {
@@ -192,28 +217,63 @@ Vec3 MeshObstacle::vertex_normal(std::uint32_t vertex) const {
   return sum.normalized();
 }
 
-std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squared_reach, std::uint32_t& hint) const {
-  double best = squared_reach;
-  std::uint32_t best_face = kNone;
-  Vec3 best_weights = Vec3::Zero();
-  const auto consider = [&](std::uint32_t f) {
-    const Vec3 a = point(positions_, faces_(f, 0)), b = point(positions_, faces_(f, 1)),
-               c = point(positions_, faces_(f, 2));
-    const Vec3 weights = closest_on_triangle(p, a, b, c);
-    const double squared = (p - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
-    // The smaller index of two equally near faces, whatever the tree's shape.
-    if (squared < best || (squared == best && f < best_face)) {
-      best = squared;
-      best_face = f;
-      best_weights = weights;
-    }
-    return best;
-  };
-  if (hint < boxes_.size()) consider(hint);
-  tree_.nearest(p, best, consider);
-  hint = best_face;
-  if (best_face == kNone) return std::nullopt;
+void MeshObstacle::consider(const Vec3& p, std::uint32_t face, Nearest& best) const {
+  const Vec3 a = point(positions_, faces_(face, 0)), b = point(positions_, faces_(face, 1)),
+             c = point(positions_, faces_(face, 2));
+  const Vec3 weights = closest_on_triangle(p, a, b, c);
+  const double squared = (p - weights[0] * a - weights[1] * b - weights[2] * c).squaredNorm();
+  // The smaller index of two equally near faces, whatever the tree's shape.
+  if (squared < best.squared || (squared == best.squared && face < best.face)) best = {squared, face, weights};
+}
 
+// In float32 who can't be the nearest one; in double, the most promising first, the others.
+void MeshObstacle::consider_pack(const Vec3& p, const Pack& pack, Nearest& best) const {
+  const Vec3f near = p.cast<float>();
+  const Points8 p8{broadcast8(near.x()), broadcast8(near.y()), broadcast8(near.z())};
+  const auto& [a, b, c] = pack.corners;
+  const Float8 least = at_least(squared_vertex_face_distance(p8, a, b, c), max(pack.error, rounding(p8)));
+  const auto may_be_nearer = [&] {
+    constexpr double kMost = 1e18;
+    return bits(~(least > broadcast8(static_cast<float>((1 + 1e-6) * std::sqrt(std::min(best.squared, kMost))))));
+  };
+  std::uint32_t looked_at = 0;
+  for (std::uint32_t lanes = may_be_nearer(); lanes != 0; lanes = may_be_nearer() & ~looked_at) {
+    int first = __builtin_ctz(lanes);
+    for (std::uint32_t rest = lanes & (lanes - 1); rest != 0; rest &= rest - 1) {
+      const int lane = __builtin_ctz(rest);
+      if (least[lane] < least[first]) first = lane;
+    }
+    looked_at |= 1u << first;
+    consider(p, pack.faces[static_cast<std::size_t>(first)], best);
+  }
+}
+
+std::optional<ObstacleContact> MeshObstacle::nearest(const Vec3& p, double squared_reach, std::uint32_t& hint) const {
+  Nearest best{squared_reach};
+  if (hint < static_cast<std::uint32_t>(faces_.rows())) consider(p, hint, best);
+  tree_.nearest(p, best.squared, [&](std::uint32_t pack) {
+    consider_pack(p, packs_[pack], best);
+    return best.squared;
+  });
+  hint = best.face;
+  return contact_at(p, best);
+}
+
+std::optional<ObstacleContact> MeshObstacle::contact_near(const Vec3& p, double reach,
+                                                          std::span<const std::uint32_t> packs) const {
+  Nearest best{reach * reach};
+  for (const std::uint32_t pack : packs) {
+    // Rounding must not leave out a face as near as the best one.
+    if ((1 - 1e-12) * squared_distance(boxes_[pack], p) <= best.squared) consider_pack(p, packs_[pack], best);
+  }
+  return contact_at(p, best);
+}
+
+std::optional<ObstacleContact> MeshObstacle::contact_at(const Vec3& p, const Nearest& nearest) const {
+  const double best = nearest.squared;
+  const std::uint32_t best_face = nearest.face;
+  const Vec3& best_weights = nearest.weights;
+  if (best_face == kNone) return std::nullopt;
   Vec3 closest = Vec3::Zero();
   for (int k = 0; k < 3; ++k) closest += best_weights[k] * point(positions_, faces_(best_face, k));
   constexpr double kOnBoundary = 1e-9;
@@ -248,25 +308,54 @@ std::optional<ObstacleContact> MeshObstacle::contact_near(const Vec3& p, double 
   return nearest(p, reach * reach, hint);
 }
 
+void MeshObstacle::find_packs(const Box& box, std::vector<std::uint32_t>& packs) const {
+  tree_.query(box, [&](std::uint32_t pack) { packs.push_back(pack); });
+}
+
 template <typename Visit>
-void MeshObstacle::visit_intersecting(const Triangle3f& triangle, const Visit& visit) const {
+void MeshObstacle::visit_intersecting(const Pack& pack, const Box& box, const Triangle3f& triangle,
+                                      const Visit& visit) const {
+  const auto& [a, b, c] = pack.corners;
+  Int8 apart{};
+  const auto compare = [&](Float8 x, Float8 y, Float8 z, int axis) {
+    apart |= (min(min(x, y), z) > broadcast8(box.upper[axis])) | (max(max(x, y), z) < broadcast8(box.lower[axis]));
+  };
+  compare(a.x, b.x, c.x, 0);
+  compare(a.y, b.y, c.y, 1);
+  compare(a.z, b.z, c.z, 2);
+  for (std::uint32_t lanes = ~bits(apart) & 0xffu; lanes != 0; lanes &= lanes - 1) {
+    const std::uint32_t face = pack.faces[static_cast<std::size_t>(__builtin_ctz(lanes))];
+    if (triangles_intersect(triangle, corners(positions_, faces_, face)) && !visit(face)) return;
+  }
+}
+
+bool MeshObstacle::intersects(const Triangle3f& triangle, std::span<const std::uint32_t> packs) const {
   const Box box = box_of(triangle);
-  if (!bounds().overlaps(box)) return;
-  tree_.query(box, [&](std::uint32_t f) {
-    if (triangles_intersect(triangle, corners(positions_, faces_, f))) visit(f);
-  });
+  bool found = false;
+  for (std::size_t i = 0; i < packs.size() && !found; ++i) {
+    if (!box.overlaps(boxes_[packs[i]])) continue;
+    visit_intersecting(packs_[packs[i]], box, triangle, [&](std::uint32_t) {
+      found = true;
+      return false;
+    });
+  }
+  return found;
 }
 
 bool MeshObstacle::intersects(const Triangle3f& triangle) const {
-  bool found = false;
-  visit_intersecting(triangle, [&](std::uint32_t) { found = true; });
-  return found;
+  std::vector<std::uint32_t> packs;
+  find_packs(box_of(triangle), packs);
+  return intersects(triangle, packs);
 }
 
 void MeshObstacle::intersecting_vertices(const Triangle3f& triangle, std::vector<std::uint32_t>& out) const {
   const auto first = static_cast<std::ptrdiff_t>(out.size());
-  visit_intersecting(triangle, [&](std::uint32_t f) {
-    for (int k = 0; k < 3; ++k) out.push_back(faces_(f, k));
+  const Box box = box_of(triangle);
+  tree_.query(box, [&](std::uint32_t pack) {
+    visit_intersecting(packs_[pack], box, triangle, [&](std::uint32_t f) {
+      for (int k = 0; k < 3; ++k) out.push_back(faces_(f, k));
+      return true;
+    });
   });
   std::sort(out.begin() + first, out.end());
   out.erase(std::unique(out.begin() + first, out.end()), out.end());

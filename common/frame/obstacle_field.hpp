@@ -10,6 +10,7 @@
 
 #include "common/frame/frame.hpp"
 #include "common/mesh/bvh.hpp"
+#include "common/mesh/closest_points8.hpp"
 #include "common/mesh/connectivity.hpp"
 
 namespace pleat {
@@ -54,7 +55,6 @@ class MeshObstacle {
   /// positions: (V x 3). O(F), and a tree at the first call.
   void update(const Positions& positions);
   const Box& bounds() const { return tree_.bounds(); }
-  const Bvh& tree() const { return tree_; }
   const Faces& faces() const { return faces_; }
   const Positions& positions() const { return positions_; }
 
@@ -66,6 +66,15 @@ class MeshObstacle {
   /// cheaper, none of them makes another result.
   std::optional<ObstacleContact> contact_near(const Eigen::Vector3d& p, double reach, std::uint32_t& hint) const;
 
+  /// Packs of eight faces, of which those with a face in the box are among those that are appended: for the searches
+  /// below, around points and triangles that are next to each other.
+  void find_packs(const Box& box, std::vector<std::uint32_t>& packs) const;
+  /// contact_near() where find_packs() has been asked for a box that contains everything nearer than `reach` to p.
+  std::optional<ObstacleContact> contact_near(const Eigen::Vector3d& p, double reach,
+                                              std::span<const std::uint32_t> packs) const;
+  /// intersects() where find_packs() has been asked for a box around the triangle.
+  bool intersects(const std::array<Eigen::Vector3f, 3>& triangle, std::span<const std::uint32_t> packs) const;
+
   /// Whether a face of the obstacle intersects the triangle.
   bool intersects(const std::array<Eigen::Vector3f, 3>& triangle) const;
   /// The obstacle's vertices on faces that intersect the triangle, ascending, appended.
@@ -74,15 +83,34 @@ class MeshObstacle {
   Eigen::Vector3d vertex_normal(std::uint32_t vertex) const;
 
  private:
+  static constexpr std::size_t kWidth = 8;
+  // Faces side by side, one per lane; the last one again in lanes that are left over.
+  struct Pack {
+    std::array<Points8, 3> corners;
+    Float8 error;  // rounding() of the corners
+    std::array<std::uint32_t, kWidth> faces;
+  };
+  // The nearest point of the surface so far.
+  struct Nearest {
+    double squared;
+    std::uint32_t face = kNone;
+    Eigen::Vector3d weights = Eigen::Vector3d::Zero();
+  };
+  void build_packs();
+  void consider(const Eigen::Vector3d& p, std::uint32_t face, Nearest& best) const;
+  void consider_pack(const Eigen::Vector3d& p, const Pack& pack, Nearest& best) const;
+  std::optional<ObstacleContact> contact_at(const Eigen::Vector3d& p, const Nearest& nearest) const;
   template <typename Visit>
-  void visit_intersecting(const std::array<Eigen::Vector3f, 3>& triangle, const Visit& visit) const;
+  void visit_intersecting(const Pack& pack, const Box& box, const std::array<Eigen::Vector3f, 3>& triangle,
+                          const Visit& visit) const;
   std::optional<ObstacleContact> nearest(const Eigen::Vector3d& p, double squared_reach, std::uint32_t& hint) const;
   Eigen::Vector3d face_normal(std::uint32_t face) const;
 
   Faces faces_;
   Connectivity connectivity_;
   Positions positions_;
-  Bvh tree_;
+  std::vector<Pack> packs_;  // in the tree's order
+  Bvh tree_;                 // over packs
   std::vector<Box> boxes_;
 };
 

@@ -7,6 +7,46 @@
 #include "common/base/error.hpp"
 
 namespace pleat {
+namespace {
+
+// Orders the elements so that along the axis in which their centres are spread most, none before the middle is beyond
+// one after it.
+void split_at(std::span<const Box> boxes, std::span<std::uint32_t> elements, std::size_t middle) {
+  const auto center = [&](std::uint32_t e, int k) { return boxes[e].lower[k] + boxes[e].upper[k]; };
+  float low[3] = {3e38f, 3e38f, 3e38f}, high[3] = {-3e38f, -3e38f, -3e38f};
+  for (const std::uint32_t e : elements) {
+    for (int k = 0; k < 3; ++k) {
+      low[k] = std::min(low[k], center(e, k));
+      high[k] = std::max(high[k], center(e, k));
+    }
+  }
+  int axis = 0;
+  for (int k = 1; k < 3; ++k) {
+    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
+  }
+  std::nth_element(elements.begin(), elements.begin() + static_cast<std::ptrdiff_t>(middle), elements.end(),
+                   [&](std::uint32_t a, std::uint32_t b) {
+                     const float ca = center(a, axis), cb = center(b, axis);
+                     return ca < cb || (ca == cb && a < b);
+                   });
+}
+
+void group(std::span<const Box> boxes, std::span<std::uint32_t> elements, std::size_t size) {
+  if (elements.size() <= size) return;
+  const std::size_t middle = (elements.size() / 2 + size - 1) / size * size;
+  split_at(boxes, elements, middle);
+  group(boxes, elements.first(middle), size);
+  group(boxes, elements.subspan(middle), size);
+}
+
+}  // namespace
+
+std::vector<std::uint32_t> near_groups(std::span<const Box> boxes, std::size_t size) {
+  std::vector<std::uint32_t> elements(boxes.size());
+  std::iota(elements.begin(), elements.end(), 0u);
+  group(boxes, elements, size);
+  return elements;
+}
 
 Bvh::Bvh(std::span<const Box> boxes) {
   if (boxes.empty()) return;
@@ -29,25 +69,10 @@ std::uint32_t Bvh::build(std::span<const Box> boxes, std::span<std::uint32_t> el
     leaf_of_[elements[0]] = node;
     return node;
   }
-  const auto center = [&](std::uint32_t e, int k) { return boxes[e].lower[k] + boxes[e].upper[k]; };
-  float low[3] = {3e38f, 3e38f, 3e38f}, high[3] = {-3e38f, -3e38f, -3e38f};
-  for (const std::uint32_t e : elements) {
-    for (int k = 0; k < 3; ++k) {
-      low[k] = std::min(low[k], center(e, k));
-      high[k] = std::max(high[k], center(e, k));
-    }
-  }
-  int axis = 0;
-  for (int k = 1; k < 3; ++k) {
-    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
-  }
-  const auto middle = static_cast<std::ptrdiff_t>(elements.size() / 2);
-  std::nth_element(elements.begin(), elements.begin() + middle, elements.end(), [&](std::uint32_t a, std::uint32_t b) {
-    const float ca = center(a, axis), cb = center(b, axis);
-    return ca < cb || (ca == cb && a < b);
-  });
-  build(boxes, elements.first(static_cast<std::size_t>(middle)));
-  const std::uint32_t right = build(boxes, elements.subspan(static_cast<std::size_t>(middle)));
+  const std::size_t middle = elements.size() / 2;
+  split_at(boxes, elements, middle);
+  build(boxes, elements.first(middle));
+  const std::uint32_t right = build(boxes, elements.subspan(middle));
   nodes_[node].right = right;
   return node;
 }

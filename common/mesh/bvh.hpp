@@ -56,6 +56,17 @@ struct alignas(16) Box {
   }
 };
 
+/// Contains everything closer than `margin` to the box.
+inline Box widened(const Box& box, double margin) {
+  Box wide;
+  for (const auto& corner : {box.lower, box.upper}) {
+    wide.extend(
+        Eigen::Vector3d(static_cast<double>(corner[0]), static_cast<double>(corner[1]), static_cast<double>(corner[2])),
+        margin);
+  }
+  return wide;
+}
+
 /// The square of the distance of p to the box; 0 inside.
 inline double squared_distance(const Box& box, const Eigen::Vector3d& p) {
   double sum = 0;
@@ -66,6 +77,10 @@ inline double squared_distance(const Box& box, const Eigen::Vector3d& p) {
   }
   return sum;
 }
+
+/// The elements in an order in which every `size` of them, from the first on, are near each other: for the leaves of a
+/// hierarchy that hold as many. O(n log n).
+std::vector<std::uint32_t> near_groups(std::span<const Box> boxes, std::size_t size);
 
 /// Hierarchy over elements (usually faces) given by their boxes. Results do not depend on the number of threads.
 class Bvh {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <numeric>
 #include <string>
+#include <utility>
 
 #include "common/base/error.hpp"
 
@@ -100,40 +101,113 @@ void SweptBvh::build(std::span<const std::array<std::uint32_t, 3>> faces, std::s
   build(faces, centers, elements.subspan(half));
 }
 
-void SweptBvh::refit(std::span<const SweptBox> points, ThreadPool& pool) {
-  pool.parallel_for(leaves_.size(), kLeafGrain, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t l = begin; l < end; ++l) {
-      Leaf& leaf = leaves_[l];
-      SweptBox all;
-      Float4 lower[kWidth], upper[kWidth], motion_lower[kWidth], motion_upper[kWidth];
-      for (std::size_t i = 0; i < kWidth; ++i) {
-        SweptBox box;
-        if (i < leaf.count) {
-          for (std::size_t k = 0; k < 3; ++k) box.extend(points[leaf.vertices[k][i]]);
-          all.extend(box);
-        }
-        lower[i] = box.lower;
-        upper[i] = box.upper;
-        motion_lower[i] = i < leaf.count ? box.motion_lower : Float4{};
-        motion_upper[i] = i < leaf.count ? box.motion_upper : Float4{};
-      }
-      const auto by_axis = [](const Float4(&lanes)[kWidth], std::array<Float8, 3>& axes) {
-        Float8 columns[4];
-        transpose(lanes, columns);
-        std::copy(columns, columns + 3, axes.begin());
-      };
-      by_axis(lower, leaf.lower);
-      by_axis(upper, leaf.upper);
-      by_axis(motion_lower, leaf.motion_lower);
-      by_axis(motion_upper, leaf.motion_upper);
-      boxes_[node_of_leaf_[l]] = all;
+void SweptBvh::refit_leaf(std::size_t l, std::span<const SweptBox> points) {
+  Leaf& leaf = leaves_[l];
+  SweptBox all;
+  Float4 lower[kWidth], upper[kWidth], motion_lower[kWidth], motion_upper[kWidth];
+  for (std::size_t i = 0; i < kWidth; ++i) {
+    SweptBox box;
+    if (i < leaf.count) {
+      for (std::size_t k = 0; k < 3; ++k) box.extend(points[leaf.vertices[k][i]]);
+      all.extend(box);
     }
-  });
-  for (std::size_t n = nodes_.size(); n-- > 0;) {
+    lower[i] = box.lower;
+    upper[i] = box.upper;
+    motion_lower[i] = i < leaf.count ? box.motion_lower : Float4{};
+    motion_upper[i] = i < leaf.count ? box.motion_upper : Float4{};
+  }
+  const auto by_axis = [](const Float4(&lanes)[kWidth], std::array<Float8, 3>& axes) {
+    Float8 columns[4];
+    transpose(lanes, columns);
+    std::copy(columns, columns + 3, axes.begin());
+  };
+  by_axis(lower, leaf.lower);
+  by_axis(upper, leaf.upper);
+  by_axis(motion_lower, leaf.motion_lower);
+  by_axis(motion_upper, leaf.motion_upper);
+  boxes_[node_of_leaf_[l]] = all;
+}
+
+// Inner nodes in [first, last), of whose children's boxes those outside are right.
+void SweptBvh::refit_nodes(std::size_t first, std::size_t last) {
+  for (std::size_t n = last; n-- > first;) {
     if (nodes_[n].leaf != kInner) continue;
     SweptBox box = boxes_[n + 1];
     box.extend(boxes_[nodes_[n].right]);
     boxes_[n] = box;
+  }
+}
+
+void SweptBvh::refit(std::span<const SweptBox> points, ThreadPool& pool) {
+  pool.parallel_for(leaves_.size(), kLeafGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t l = begin; l < end; ++l) refit_leaf(l, points);
+  });
+  refit_nodes(0, nodes_.size());
+}
+
+void SweptBvh::find_blocks() {
+  std::vector<std::uint32_t> seen;  // per vertex: the last block with it, counted from 1
+  const auto add = [&](std::uint32_t first_node, std::uint32_t last_node) {
+    Block block{first_node, last_node, kInner, 0, static_cast<std::uint32_t>(block_vertices_.size()), 0};
+    const auto number = static_cast<std::uint32_t>(blocks_.size() + 1);
+    for (std::uint32_t n = first_node; n < last_node; ++n) {
+      const std::uint32_t l = nodes_[n].leaf;
+      if (l == kInner) continue;
+      block.first_leaf = std::min(block.first_leaf, l);
+      block.last_leaf = l + 1;
+      for (std::size_t i = 0; i < leaves_[l].count; ++i) {
+        for (std::size_t k = 0; k < 3; ++k) {
+          const std::uint32_t v = leaves_[l].vertices[k][i];
+          if (v >= seen.size()) seen.resize(v + 1, 0);
+          if (std::exchange(seen[v], number) != number) block_vertices_.push_back(v);
+        }
+      }
+    }
+    block.last_vertex = static_cast<std::uint32_t>(block_vertices_.size());
+    blocks_.push_back(block);
+  };
+  // A subtree is a range of nodes, and has one inner node less than leaves.
+  const auto split = [&](auto& self, std::uint32_t node, std::uint32_t last) -> void {
+    if (last - node < 2 * kBlockLeaves) return add(node, last);
+    self(self, node + 1, nodes_[node].right);
+    self(self, nodes_[node].right, last);
+  };
+  split(split, 0, static_cast<std::uint32_t>(nodes_.size()));
+}
+
+// Whether a leaf may meet the box.
+bool SweptBvh::meets(const SweptBox& box) const {
+  std::uint32_t stack[64];  // one for each level, and one
+  std::size_t size = 0;
+  stack[size++] = 0;
+  while (size > 0) {
+    const std::uint32_t n = stack[--size];
+    if (!boxes_[n].may_meet(box)) continue;
+    if (nodes_[n].leaf != kInner) return true;
+    stack[size++] = nodes_[n].right;
+    stack[size++] = n + 1;
+  }
+  return false;
+}
+
+void SweptBvh::refit(std::span<const SweptBox> points, const SweptBvh& other) {
+  if (empty()) return;
+  if (blocks_.empty()) find_blocks();
+  for (const Block& block : blocks_) {
+    SweptBox all;
+    for (std::uint32_t i = block.first_vertex; i < block.last_vertex; ++i) all.extend(points[block_vertices_[i]]);
+    if (other.empty() || !other.meets(all)) {
+      boxes_[block.first_node] = SweptBox();  // which nothing meets
+      continue;
+    }
+    for (std::size_t l = block.first_leaf; l < block.last_leaf; ++l) refit_leaf(l, points);
+    refit_nodes(block.first_node, block.last_node);
+  }
+  // The nodes above; those of the blocks are ready.
+  for (std::size_t b = blocks_.size(), last = nodes_.size(); b-- > 0;) {
+    refit_nodes(blocks_[b].last_node, last);
+    last = blocks_[b].first_node;
+    if (b == 0) refit_nodes(0, last);
   }
 }
 
@@ -245,7 +319,12 @@ std::vector<SweptBvh::Pair> SweptBvh::self_pairs(ThreadPool& pool, std::size_t l
 
 std::vector<SweptBvh::Pair> SweptBvh::pairs(const SweptBvh& other) const {
   std::vector<Pair> out;
-  if (empty() || other.empty()) return out;
+  append_pairs(other, out);
+  return out;
+}
+
+void SweptBvh::append_pairs(const SweptBvh& other, std::vector<Pair>& out) const {
+  if (empty() || other.empty()) return;
   std::vector<Pair> stack{{0, 0}};
   while (!stack.empty()) {
     const auto [p, q] = stack.back();
@@ -269,7 +348,6 @@ std::vector<SweptBvh::Pair> SweptBvh::pairs(const SweptBvh& other) const {
       stack.push_back({p + 1, q});
     }
   }
-  return out;
 }
 
 std::vector<std::uint32_t> SweptBvh::query(const SweptBox& box) const {

@@ -59,11 +59,17 @@ class SweptBvh {
   /// points: the swept boxes of all vertices. O(n).
   void refit(std::span<const SweptBox> points, ThreadPool& pool);
 
+  /// The same where only what may meet the other hierarchy, which is fitted to its own points, matters: all else is
+  /// left out of pairs() and query() until the next refit. O(n), and cheaper the less there is.
+  void refit(std::span<const SweptBox> points, const SweptBvh& other);
+
   /// Pairs (i < j) of faces that may meet; those with a common vertex only if `neighbours`. Throws kResourceExhausted
   /// beyond `limit`.
   std::vector<Pair> self_pairs(ThreadPool& pool, std::size_t limit, bool neighbours = false) const;
   /// Pairs (i of this, j of other).
   std::vector<Pair> pairs(const SweptBvh& other) const;
+  /// The same, appended.
+  void append_pairs(const SweptBvh& other, std::vector<Pair>& out) const;
   /// Faces that may meet the box, ascending.
   std::vector<std::uint32_t> query(const SweptBox& box) const;
 
@@ -82,17 +88,28 @@ class SweptBvh {
     std::uint32_t leaf = kInner;
   };
   static constexpr std::uint32_t kInner = 0xffffffffu;
+  // A subtree of up to kBlockLeaves leaves, and the vertices of its faces, each once.
+  struct Block {
+    std::uint32_t first_node, last_node, first_leaf, last_leaf, first_vertex, last_vertex;
+  };
+  static constexpr std::uint32_t kBlockLeaves = 16;
 
   void build(std::span<const std::array<std::uint32_t, 3>> faces, std::span<const Eigen::Vector3d> centers,
              std::span<std::uint32_t> elements);
   void collide(std::uint32_t p, std::uint32_t q, std::size_t limit, bool neighbours, std::vector<Pair>& out) const;
   void leaf_pairs(std::uint32_t p, std::uint32_t q, bool neighbours, std::vector<Pair>& out) const;
+  void refit_leaf(std::size_t l, std::span<const SweptBox> points);
+  void refit_nodes(std::size_t first, std::size_t last);
+  void find_blocks();
+  bool meets(const SweptBox& box) const;
   SweptBox lane_box(const Leaf& leaf, std::size_t i) const;
 
   std::vector<Node> nodes_;
   std::vector<SweptBox> boxes_;
   std::vector<Leaf> leaves_;
   std::vector<std::uint32_t> node_of_leaf_;
+  std::vector<Block> blocks_;  // together they have all leaves; found by the first refit that needs them
+  std::vector<std::uint32_t> block_vertices_;
 };
 
 }  // namespace pleat

@@ -108,7 +108,7 @@ struct FoldStep::Work {
   std::vector<std::uint32_t> pins;
 
   // One more than there are vertices, as scratch place of packs.
-  std::vector<Float4> x, v, before, from, way, given, normals, moved;
+  std::vector<Float4> x, v, before, from, way, given, normals, moved, pull;
   std::span<const LayerContact> layer_contacts;
   std::vector<refinement::FacePair> pairs;
   std::vector<float> tangled, wider;
@@ -149,7 +149,8 @@ struct FoldStep::Work {
     touching.assign(coarse_count, 0);
     tangled.assign(count, 0);
     fixed.assign(count, 0);
-    for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved}) buffer->assign(count + 1, Float4{});
+    for (auto* buffer : {&x, &v, &before, &from, &way, &given, &normals, &moved, &pull})
+      buffer->assign(count + 1, Float4{});
   }
 
   void check(const FoldFrame& frame, const FoldState& state) const {
@@ -301,6 +302,10 @@ struct FoldStep::Work {
     near_faces.clear();
     near_obstacles.clear();
     obstacles.append_bounds(kObstacleReach, near_obstacles);
+    // From one place to another the distance changes by the way between them at most: a face with room around it speaks
+    // for its neighbours.
+    Float4 far_place{};
+    double far = -1;
     for (std::uint32_t face = 0; face < static_cast<std::uint32_t>(coarse.face_count()); ++face) {
       const std::span<const std::uint32_t> members = layers.vertices_of(face);
       if (members.empty()) continue;
@@ -313,11 +318,19 @@ struct FoldStep::Work {
         squared = std::max(squared, dot(offset, offset));
       }
       const double radius = 1.001 * std::sqrt(static_cast<double>(squared)) + 1e-6;
+      const double reach = radius + kObstacleReach, depth = radius + kObstacleDepth;
+      if (far - static_cast<double>(norm(middle - far_place)) > reach + kRounding) continue;
       Box place;
       place.extend(point_at(origin, middle), radius);
-      if (std::any_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); }) &&
-          obstacles.contact_near(point_at(origin, middle), radius + kObstacleReach, radius + kObstacleDepth)) {
+      if (std::none_of(near_obstacles.begin(), near_obstacles.end(), [&](const Box& b) { return b.overlaps(place); })) {
+        continue;
+      }
+      const auto contact = obstacles.contact_near(point_at(origin, middle), depth, depth);
+      if (contact && contact->distance <= reach) {
         near_faces.push_back(face);
+      } else if (contact) {
+        far = contact->distance;
+        far_place = middle;
       }
     }
   }
@@ -432,6 +445,7 @@ struct FoldStep::Work {
             return Tracking::Lack{from[i] + time * way[i] - x[i], inverse * way[i] - v[i], v[i]};
           },
           static_cast<float>(options.frequency), static_cast<float>(kPullEvery) * step_s);
+      for (std::uint32_t i = 0; i < count; ++i) pull[i] = tracking.at(i);
     }
     // The velocity with which a cloth without a state begins has met gravity and air in this frame already.
     const Float4 gravity = restarted ? Float4{} : to_float4(options.gravity);
@@ -442,14 +456,14 @@ struct FoldStep::Work {
     for (std::uint32_t i = 0; i < count; ++i) {
       before[i] = x[i];
       Float4 velocity = v[i] + viscous * viscosity.lack(i, v);
-      Float4 acceleration = gravity + tracking.at(i);
+      Float4 acceleration = gravity + pull[i];
       if (guided) {
         acceleration += kStartFrequency * kStartFrequency * (given[i] - (1 - middle) * way[i] - x[i]);
       }
       if (tangled[i] > 0) {
-        const float pull = tangled[i] * kTangleFrequency;
+        const float frequency = tangled[i] * kTangleFrequency;
         const Float4 place = guided ? given[i] - (1 - middle) * way[i] : from[i] + middle * way[i];
-        acceleration += pull * pull * (place - x[i]) + 2 * pull * (per_frame * way[i] - velocity);
+        acceleration += frequency * frequency * (place - x[i]) + 2 * frequency * (per_frame * way[i] - velocity);
       }
       velocity += step_s * acceleration;
       velocity -= along * (velocity - per_frame * way[i]);

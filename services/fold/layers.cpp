@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "common/mesh/closest_points.hpp"
+#include "common/mesh/closest_points8.hpp"
 #include "common/mesh/connectivity.hpp"
 #include "services/fold/lanes.hpp"
 
@@ -144,12 +145,17 @@ void LayerFinder::measure_faces(const Positions& coarse, float reach) {
   }
 }
 
+Vector3d LayerFinder::point_of(std::uint32_t slot) const {
+  const Block& block = blocks_[slot / kLanes];
+  const auto lane = static_cast<int>(slot % kLanes);
+  return {static_cast<double>(block.x[lane]), static_cast<double>(block.y[lane]), static_cast<double>(block.z[lane])};
+}
+
 // The vertex of a slot and the nearest point of a face.
 void LayerFinder::meet(std::uint32_t slot, std::size_t side, std::uint32_t face) {
   Block& block = blocks_[slot / kLanes];
   const auto lane = static_cast<int>(slot % kLanes);
-  const Vector3d point(static_cast<double>(block.x[lane]), static_cast<double>(block.y[lane]),
-                       static_cast<double>(block.z[lane]));
+  const Vector3d point = point_of(slot);
   const FaceShape& shape = shapes_[face];
   const Vector3d a = to_vector(shape.corners[0]), b = to_vector(shape.corners[1]), c = to_vector(shape.corners[2]);
   const Vector3d weights = closest_on_triangle(point, a, b, c);
@@ -160,7 +166,7 @@ void LayerFinder::meet(std::uint32_t slot, std::size_t side, std::uint32_t face)
   const bool nearer =
       distance < nearest.squared_distance || (distance == nearest.squared_distance && face < nearest.face);
   if (!nearer || plane * plane <= kAcross * kAcross * distance) return;
-  nearest = {distance, face, weights};
+  nearest = {distance, face};
   block.bound[side][lane] = static_cast<float>(std::sqrt(distance)) + kRounding;
 }
 
@@ -181,6 +187,10 @@ void LayerFinder::meet_all(std::uint32_t own, std::uint32_t face, float reach) {
   const float apart = std::sqrt(dot(offset, offset)) - from.radius - to.radius;
   if (apart > 0 && std::max(std::abs(least), std::abs(most)) <= kSlope * apart) return;
   const float facing = dot(from.normal, to.normal);
+  std::array<Points8, 3> corners;
+  for (std::size_t k = 0; k < 3; ++k) {
+    corners[k] = {broadcast8(to.corners[k][0]), broadcast8(to.corners[k][1]), broadcast8(to.corners[k][2])};
+  }
   for (std::uint32_t at = blocks_begin_[own]; at < blocks_begin_[own + 1]; ++at) {
     const Block& block = blocks_[at];
     const Float8 plane = to.normal[0] * (block.x - to.corners[0][0]) + to.normal[1] * (block.y - to.corners[0][1]) +
@@ -192,8 +202,14 @@ void LayerFinder::meet_all(std::uint32_t own, std::uint32_t face, float reach) {
     const Float8 beside = max(sqrt(max(x * x + y * y + z * z - height * height, Float8{})) - to.radius, Float8{});
     const Float8 bound = select(below, block.bound[1], block.bound[0]), squared = height * height + beside * beside;
     const Int8 near = (squared <= bound * abs(bound)) & (height * height > kSlope * kSlope * squared);
+    if (bits(near) == 0) continue;
+    const Points8 points{block.x, block.y, block.z};
+    const Float8 error =
+        max(rounding(points), max(rounding(corners[0]), max(rounding(corners[1]), rounding(corners[2]))));
+    const Float8 away = at_least(squared_vertex_face_distance(points, corners[0], corners[1], corners[2]), error);
+    const Int8 nearest = near & (away <= bound) & (height + 4 * error > kSlope * away);
     const std::uint32_t is_below = bits(below);
-    for (std::uint32_t lanes = bits(near); lanes != 0; lanes &= lanes - 1) {
+    for (std::uint32_t lanes = bits(nearest); lanes != 0; lanes &= lanes - 1) {
       const auto lane = static_cast<std::uint32_t>(__builtin_ctz(lanes));
       meet(at * static_cast<std::uint32_t>(kLanes) + lane, (is_below >> lane) & 1, face);
     }
@@ -210,7 +226,7 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
     tree_.refit(boxes_);
   }
   const double squared_reach = static_cast<double>(reach) * static_cast<double>(reach);
-  for (auto& sides : nearest_) sides.fill({squared_reach, kNone, Vector3d::Zero()});
+  for (auto& sides : nearest_) sides.fill({squared_reach, kNone});
   for (std::uint32_t face = 0; face < shapes_.size(); ++face) {
     const std::size_t members = vertices_of(face).size();
     for (std::size_t i = 0; i < (members + kLanes - 1) / kLanes * kLanes; ++i) {
@@ -219,16 +235,18 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
       }
     }
   }
-  tree_.visit_self_pairs([&](std::uint32_t f, std::uint32_t g) {
-    for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) {
-        if (coarse_faces_(f, i) == coarse_faces_(g, j)) return true;
+  for (std::uint32_t f = 0; f < shapes_.size(); ++f) {
+    const std::array<std::uint32_t, 3> v{coarse_faces_(f, 0), coarse_faces_(f, 1), coarse_faces_(f, 2)};
+    tree_.query(boxes_[f], [&](std::uint32_t g) {
+      if (g <= f) return;
+      for (int k = 0; k < 3; ++k) {
+        const std::uint32_t w = coarse_faces_(g, k);
+        if (w == v[0] || w == v[1] || w == v[2]) return;
       }
-    }
-    meet_all(f, g, reach);
-    meet_all(g, f, reach);
-    return true;
-  });
+      meet_all(f, g, reach);
+      meet_all(g, f, reach);
+    });
+  }
   contacts_.clear();
   for (std::uint32_t k = 0; k < 2 * slots_.size(); ++k) {
     const std::uint32_t v = k / 2;
@@ -236,9 +254,11 @@ std::span<const LayerContact> LayerFinder::find(const Positions& coarse, std::sp
     if (nearest.face == kNone || nearest.squared_distance <= 0) continue;
     LayerContact contact{};
     contact.vertex = v;
-    contact.weights = {static_cast<float>(nearest.weights[0]), static_cast<float>(nearest.weights[1]),
-                       static_cast<float>(nearest.weights[2])};
     const FaceShape& shape = shapes_[nearest.face];
+    const Vector3d weights_there = closest_on_triangle(point_of(slots_[v]), to_vector(shape.corners[0]),
+                                                       to_vector(shape.corners[1]), to_vector(shape.corners[2]));
+    contact.weights = {static_cast<float>(weights_there[0]), static_cast<float>(weights_there[1]),
+                       static_cast<float>(weights_there[2])};
     contact.normal = dot(shape.normal, upsampled[v] - shape.corners[0]) > 0 ? shape.normal : -shape.normal;
     contact.gap = std::min(thickness, static_cast<float>(std::sqrt(nearest.squared_distance)));
     std::uint32_t face = descend(nearest.face, contact.weights), walked = face;

@@ -46,6 +46,7 @@ class LayerFinder {
   void place_vertices(std::span<const Float4> upsampled);
   void measure_faces(const Positions& coarse, float reach);
   void meet_all(std::uint32_t own, std::uint32_t face, float reach);
+  Eigen::Vector3d point_of(std::uint32_t slot) const;
   void meet(std::uint32_t slot, std::size_t side, std::uint32_t face);
   std::uint32_t descend(std::uint32_t face, std::array<float, 3>& weights) const;
   bool walk(const LayerContact& contact, std::span<const Float4> fine, std::uint32_t& face,
@@ -74,7 +75,6 @@ class LayerFinder {
   struct Nearest {
     double squared_distance;
     std::uint32_t face;
-    Eigen::Vector3d weights;
   };
   std::vector<std::array<Nearest, 2>> nearest_;  // per slot on either side
   std::vector<std::uint32_t> slots_;             // per vertex

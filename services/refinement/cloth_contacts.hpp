@@ -47,10 +47,12 @@ class ClothContacts {
   // Some patches of the cloth and one mesh obstacle.
   struct MeshScan {
     std::vector<std::uint32_t> patches;   // ascending
+    std::vector<std::uint8_t> cut;        // per such patch: a face of it meets the surface
     std::vector<std::uint8_t> crosses;    // per face of these patches: meets the surface
     std::vector<std::uint32_t> vertices;  // of these patches
     std::vector<std::uint32_t> parent;    // per vertex: towards the one that stands for its part of the cloth
     std::vector<std::uint8_t> side;       // per such vertex
+    bool any_inside = false;              // of the parts
   };
   void scan(const Positions& positions, const MeshObstacle& mesh, const SelfIntersectionFinder& finder, MeshScan& scan);
   bool is_inside(MeshScan& scan, std::uint32_t vertex) const;
@@ -59,17 +61,34 @@ class ClothContacts {
   void begin_collecting();
   void collect(std::uint32_t vertex, std::vector<std::uint32_t>& out);
 
+  // The vertices of a patch, each once, those that belong to it (and not to an earlier patch) first.
+  struct PatchVertices {
+    std::uint32_t begin, own_end, end;
+  };
+  void prepare_packs(std::size_t patches);
+  void list_patch_vertices(const SelfIntersectionFinder& finder);
+  std::span<const std::uint32_t> vertices_of(std::uint32_t patch) const {
+    const PatchVertices& list = patch_lists_[patch];
+    return std::span(patch_vertices_).subspan(list.begin, list.end - list.begin);
+  }
+  std::span<const std::uint32_t> own_vertices_of(std::uint32_t patch) const {
+    return vertices_of(patch).first(patch_lists_[patch].own_end - patch_lists_[patch].begin);
+  }
+
   Faces faces_;
   ThreadPool* pool_;
+  std::vector<PatchVertices> patch_lists_;  // made by the first update
+  std::vector<std::uint32_t> patch_vertices_;
   std::vector<MeshScan> scans_;        // per obstacle, of patches that overlap its bounds; of a capsule set empty
   MeshScan again_;                     // of patches that moved since
   std::vector<std::uint32_t> stamps_;  // per vertex: the last collection that has it
   std::uint32_t stamp_ = 0;
   std::vector<Box> boxes_;
-  std::vector<std::uint32_t> vertices_, some_faces_;
-  std::vector<ObstacleContact> found_;
-  std::vector<std::uint8_t> is_found_;
-  std::vector<std::uint8_t> is_moved_;  // per patch
+  std::vector<std::uint32_t> patches_;             // near obstacles
+  std::vector<std::vector<std::uint32_t>> packs_;  // of an obstacle, near a patch; for each range of a loop
+  std::vector<ObstacleContact> found_;             // per vertex
+  std::vector<std::uint8_t> is_found_;             // per vertex
+  std::vector<std::uint8_t> is_moved_;             // per patch
 };
 
 }  // namespace pleat::refinement

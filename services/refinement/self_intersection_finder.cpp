@@ -133,6 +133,8 @@ void SelfIntersectionFinder::refit() {
     tree_ = Bvh(patch_boxes_);
     tree_parts_ = tree_.self_pair_parts(kTreeLevels);
     parts_.resize(tree_parts_.size() + (patch_boxes_.size() + kPatchesPerPart - 1) / kPatchesPerPart);
+    for (Part& part : parts_) part.near.reserve(patch_size_);
+    near_.reserve(patch_size_);
   } else {
     tree_.refit(patch_boxes_);
   }
@@ -248,8 +250,8 @@ void SelfIntersectionFinder::measure_normals(const Positions& positions, std::si
 class SelfIntersectionFinder::Search {
  public:
   Search(const SelfIntersectionFinder& finder, const Positions& positions, std::size_t limit,
-         std::atomic<std::size_t>& count, std::vector<FacePair>& pairs)
-      : finder_(finder), positions_(positions), limit_(limit), count_(count), pairs_(pairs) {}
+         std::atomic<std::size_t>& count, std::vector<FacePair>& pairs, std::vector<std::uint32_t>& near)
+      : finder_(finder), positions_(positions), limit_(limit), count_(count), pairs_(pairs), near_(near) {}
 
   // Returns false once there are more pairs than the limit.
   bool inside_patch(std::uint32_t patch) {
@@ -267,9 +269,14 @@ class SelfIntersectionFinder::Search {
     if (finder_.excluded(p, q)) return true;
     const auto [first_p, last_p] = finder_.patch_faces(p);
     const auto [first_q, last_q] = finder_.patch_faces(q);
+    near_.clear();
+    for (std::uint32_t b = first_q; b < last_q; ++b) {
+      if (finder_.boxes_[b].overlaps(finder_.patch_boxes_[p])) near_.push_back(b);
+    }
+    if (near_.empty()) return true;
     for (std::uint32_t a = first_p; a < last_p; ++a) {
       if (!finder_.boxes_[a].overlaps(finder_.patch_boxes_[q])) continue;
-      for (std::uint32_t b = first_q; b < last_q; ++b) {
+      for (const std::uint32_t b : near_) {
         if (!test(a, b)) return false;
       }
     }
@@ -291,6 +298,7 @@ class SelfIntersectionFinder::Search {
   std::size_t limit_;
   std::atomic<std::size_t>& count_;
   std::vector<FacePair>& pairs_;
+  std::vector<std::uint32_t>& near_;
 };
 
 bool SelfIntersectionFinder::find(const Positions& positions, std::size_t limit, std::vector<FacePair>& pairs) {
@@ -305,7 +313,7 @@ bool SelfIntersectionFinder::find(const Positions& positions, std::size_t limit,
       Part& part = parts_[i];
       part.pairs.clear();
       if (count.load() > limit) continue;
-      Search search(*this, positions, limit, count, part.pairs);
+      Search search(*this, positions, limit, count, part.pairs, part.near);
       if (i < tree_parts_.size()) {
         tree_.visit_self_pairs(tree_parts_[i], part.stack,
                                [&](std::uint32_t p, std::uint32_t q) { return search.between_patches(p, q); });
@@ -335,7 +343,7 @@ bool SelfIntersectionFinder::find_again(const Positions& positions, std::span<co
   std::erase_if(
       pairs, [&](const FacePair& pair) { return (is_moved_[patch_of(pair[0])] | is_moved_[patch_of(pair[1])]) != 0; });
   std::atomic<std::size_t> count{pairs.size()};
-  Search search(*this, positions, limit, count, pairs);
+  Search search(*this, positions, limit, count, pairs, near_);
   bool complete = true;
   for (const std::uint32_t p : moved) {
     complete = complete && search.inside_patch(p);

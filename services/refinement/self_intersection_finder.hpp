@@ -89,10 +89,11 @@ class SelfIntersectionFinder {
   void measure_normals(const Positions& positions, std::size_t first_face, std::size_t last_face);
   void update_patches(const Positions& positions, std::span<const std::uint32_t> patches);
 
-  // What one part of the search found. `stack` is its traversal.
+  // What one part of the search found. `stack` is its traversal, `near` the faces of a patch near another one.
   struct Part {
     std::vector<Bvh::Pair> stack;
     std::vector<FacePair> pairs;
+    std::vector<std::uint32_t> near;
   };
   class Search;
 
@@ -115,6 +116,7 @@ class SelfIntersectionFinder {
   std::vector<std::uint32_t> vertex_patch_offsets_, vertex_patches_;
   std::vector<std::uint8_t> is_moved_, corner_used_;
   std::vector<std::uint32_t> corners_;  // of moved patches
+  std::vector<std::uint32_t> near_;     // as in Part
 };
 
 }  // namespace pleat::refinement

@@ -94,33 +94,34 @@ void Cloth::collect_pins(double time_s, double step_s) {
 }
 
 // Where the obstacles are to be at the end of the step: in their scripted places, or on the way back to them.
-const Points& Cloth::obstacle_targets(double time_s, double step_s) {
+std::span<const Eigen::Vector3d> Cloth::obstacle_targets(double time_s, double step_s) {
   // Where the script is now is where the last step was to end.
   if (scripted_time_s_ != time_s) contact_.obstacle_particles(time_s, scripted_);
-  const Points& before = scripted_;
-  Points& targets = targets_;
-  contact_.obstacle_particles(time_s + step_s, targets);
-  scripted_next_ = targets;
+  contact_.obstacle_particles(time_s + step_s, scripted_next_);
+  bool on_the_way = false;
   std::size_t first = 0;
   for (const Obstacle& obstacle : scene_.obstacles) {
     const std::size_t last = first + point_count(obstacle);
     double script = 0, way = 0;
     for (std::size_t i = first; i < last; ++i) {
-      script = std::max(script, (targets[i] - before[i]).squaredNorm());
-      way = std::max(way, (targets[i] - positions_[vertex_count() + i]).squaredNorm());
+      script = std::max(script, (scripted_next_[i] - scripted_[i]).squaredNorm());
+      way = std::max(way, (scripted_next_[i] - positions_[vertex_count() + i]).squaredNorm());
     }
     script = std::sqrt(script);
     way = std::sqrt(way);
     const double farthest = script + kCatchUpSpeed * step_s;
-    for (std::size_t i = first; i < last && way > farthest; ++i) {
-      const Vector3d& now = positions_[vertex_count() + i];
-      targets[i] = now + farthest / way * (targets[i] - now);
+    if (way > farthest) {
+      if (!std::exchange(on_the_way, true)) targets_ = scripted_next_;
+      for (std::size_t i = first; i < last; ++i) {
+        const Vector3d& now = positions_[vertex_count() + i];
+        targets_[i] = now + farthest / way * (scripted_next_[i] - now);
+      }
     }
     first = last;
   }
   std::swap(scripted_, scripted_next_);
   scripted_time_s_ = time_s + step_s;
-  return targets;
+  return on_the_way ? targets_ : scripted_;
 }
 
 void Cloth::step(double time_s, double step_s, const Following& following, ThreadPool& pool) {
@@ -137,7 +138,7 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
   }
   pins_.insert(pins_.end(), following.springs.begin(), following.springs.end());
 
-  const Points& obstacles = obstacle_targets(time_s, step_s);
+  const std::span<const Vector3d> obstacles = obstacle_targets(time_s, step_s);
   for (std::size_t o = 0; o < obstacles.size(); ++o) {
     const std::size_t particle = vertex_count() + o;
     velocities_[particle] = (obstacles[o] - positions_[particle]) / step_s;
@@ -154,7 +155,8 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
   step.contacts = forces;
   step.frequency = following.frequency;
   step.targets = following.targets;
-  velocities_before_ = velocities_;
+  // Those of the obstacles follow from where they are.
+  velocities_before_.assign(velocities_.begin(), velocities_.begin() + static_cast<std::ptrdiff_t>(vertex_count()));
   report_.solver_iterations += static_cast<std::uint64_t>(dynamics_.solve(positions_, velocities_, step, pool));
   const auto solve_done = Clock::now();
 
@@ -166,7 +168,7 @@ void Cloth::advance(double time_s, double step_s, const Following& following, Th
     inside = inside && end[i].cwiseAbs().maxCoeff() < kFarthest;
   }
   if (!inside || (halvings < kMostHalvings && dynamics_.bursts(positions_, end))) {
-    velocities_ = velocities_before_;
+    std::copy(velocities_before_.begin(), velocities_before_.end(), velocities_.begin());
     dynamics_.forget_last_change();
     if (halvings == kMostHalvings) {
       throw Error(ErrorCode::kFailedPrecondition, "scene '" + scene_.name + "': the simulation has diverged at " +

@@ -98,7 +98,7 @@ class Cloth {
   }
 
  private:
-  const Points& obstacle_targets(double time_s, double step_s);
+  std::span<const Eigen::Vector3d> obstacle_targets(double time_s, double step_s);
   void collect_pins(double time_s, double step_s);
   void advance(double time_s, double step_s, const Following& following, ThreadPool& pool, int halvings);
 
@@ -108,8 +108,8 @@ class Cloth {
   ContactSystem contact_;
   StrainLimits strain_limits_;
   Points positions_, velocities_;  // of all particles
-  // Buffers of a step: its end, what it began with, and the obstacles at its end, where the script has them and where
-  // they get.
+  // Buffers of a step: its end, the velocities of the cloth's vertices that it began with, and the obstacles at its
+  // end, where the script has them and where they get if that is another place.
   Points end_, velocities_before_, scripted_, scripted_next_, targets_;
   double scripted_time_s_ = -1;  // of scripted_
   std::vector<HandleState> handles_;

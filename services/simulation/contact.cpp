@@ -56,8 +56,13 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
         if (!std::exchange(vertex_owned[face[k]], 1)) own_vertices[k] = face[k];
       }
       faces_.push_back(face);
+      std::uint8_t bits = 0;
+      for (std::size_t k = 0; k < 3; ++k) {
+        if (own_vertices[k] != kNone) bits |= static_cast<std::uint8_t>(1u << k);
+        if (own_edges[k] != kNone) bits |= static_cast<std::uint8_t>(8u << k);
+      }
+      own_bits_.push_back(bits);
       own_edges_.push_back(own_edges);
-      own_vertices_.push_back(own_vertices);
     }
     particles += static_cast<std::size_t>(vertices);
   };
@@ -94,6 +99,7 @@ ContactSystem::ContactSystem(const Topology& cloth, const Points& rest, std::vec
     face_areas_[f] = (rest[v[1]] - rest[v[0]]).cross(rest[v[2]] - rest[v[0]]).norm() / 2;
   }
   boxes_.resize(particle_count_);
+  moving_.resize(particle_count_);
   find_neighbours();
   find_layers();
 }
@@ -347,6 +353,7 @@ bool ContactSystem::resolve_rounds(const Points& start, Points& end, std::span<c
                                            [&](std::uint32_t v) { return inverse_mass(inverse_masses, v) > 0; });
       }
     }
+    if (wanted_.empty()) wanted_ = end;  // nothing has moved it yet
     if (!solvable || round >= kProjectionRounds + kRigidRounds) return false;
     before_ = end;
     if (round < kProjectionRounds) {
@@ -425,7 +432,7 @@ Resolution ContactSystem::resolve(const Points& start, Points& end, std::span<co
                                   std::span<const double> yielding, ThreadPool& pool) {
   Resolution result;
   std::vector<Impact> impacts;
-  wanted_ = end;
+  wanted_.clear();
   if (resolve_rounds(start, end, inverse_masses, pool, impacts, result)) return result;
   // What the rounds have made of it may be far out: every further attempt begins anew. Handles that met something give
   // way; then those too that come into it now.

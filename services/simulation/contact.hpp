@@ -122,6 +122,7 @@ class ContactSystem {
   struct Neighbours {
     std::uint32_t f, g;
     std::uint32_t between;  // a face with the edge; f where they share a vertex
+    std::uint32_t owned;    // as owned_pairs(), without pairs that share a vertex
     double safe_until;
   };
 
@@ -139,12 +140,13 @@ class ContactSystem {
   void begin_layer(const Points& x);
   void find_inside(const Points& x, std::vector<Violation>& found) const;
   std::uint32_t obstacle_of(std::uint32_t particle) const;
-  template <typename Use>
-  void for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const;
+  std::uint32_t owned_pairs(std::uint32_t f, std::uint32_t g) const;
+  void append_pairs(std::uint32_t f, std::uint32_t g, std::uint32_t owned, std::vector<Pair>& out) const;
   std::uint32_t apart(std::span<const SweptBvh::Pair> faces) const;
   double keep_if_close(const Pair& pair, const Points& start, const Points& end, std::vector<Pair>& out) const;
   void keep_close(std::span<const Pair> candidates, const Points& start, const Points& end, std::vector<Pair>& out,
                   std::span<double> clearances) const;
+  void take_kept(std::size_t parts);
   void find_neighbours();
   void find_layers();
   std::string name_of_face(std::uint32_t f) const;
@@ -153,7 +155,6 @@ class ContactSystem {
   }
   bool is_joined(std::uint32_t f, std::uint32_t g) const;
   void add_neighbours(const Points& start, const Points& end, ThreadPool& pool);
-  SweptBox face_box(std::uint32_t f) const;
   void project(std::vector<Impact>& impacts, std::span<const double> inverse_masses, Points& end) const;
   bool move_rigidly(const std::vector<Impact>& impacts, std::span<const double> inverse_masses, const Points& start,
                     Points& end, std::uint64_t& zones) const;
@@ -167,10 +168,10 @@ class ContactSystem {
   std::vector<std::array<std::uint32_t, 3>> faces_;  // cloth, then obstacle meshes
   std::vector<std::array<std::uint32_t, 2>> edges_;
   // Every vertex and every edge belongs to one of its faces, so that a pair of them is met once only.
-  std::vector<std::array<std::uint32_t, 3>> own_edges_;     // edges that a face owns, kNone elsewhere
-  std::vector<std::array<std::uint32_t, 3>> own_vertices_;  // likewise
-  std::vector<std::uint32_t> layers_;                       // of cloth vertices
-  std::vector<double> areas_;                               // of cloth vertices
+  std::vector<std::array<std::uint32_t, 3>> own_edges_;  // edges that a face owns, kNone elsewhere
+  std::vector<std::uint8_t> own_bits_;                   // which of a face's vertices, and above its edges, these are
+  std::vector<std::uint32_t> layers_;                    // of cloth vertices
+  std::vector<double> areas_;                            // of cloth vertices
   std::vector<double> edge_areas_, face_areas_;
   std::vector<std::uint32_t> first_particle_, first_face_;  // per obstacle, and the ends; no faces: not a mesh
   // Spheres (b is kNone) and capsules.
@@ -190,9 +191,20 @@ class ContactSystem {
 
   SweptBvh cloth_bvh_, obstacle_bvh_;
   std::vector<SweptBox> boxes_;  // of all particles
+  // Of all particles, in float32.
+  struct Moving {
+    Float4 end, motion;
+  };
+  std::vector<Moving> moving_;
+  // What a part of a search works with.
+  struct Candidates {
+    std::vector<Pair> pairs, kept;
+  };
+  std::vector<Candidates> parts_;
+  std::vector<SweptBvh::Pair> face_pairs_;
   std::vector<Pair> pairs_;
   Points pairs_end_;  // the end positions for which pairs_ was found
-  // What resolve() was asked for, and what its last round began with.
+  // What resolve() was asked for (empty until something collides), and what its last round began with.
   Points wanted_, before_;
 };
 

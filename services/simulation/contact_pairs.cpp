@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "common/base/simd.hpp"
+#include "common/mesh/closest_points8.hpp"
 #include "services/simulation/contact.hpp"
 
 namespace pleat::simulation {
@@ -18,71 +19,23 @@ constexpr std::size_t kMostJoinedFaces = 100'000;
 
 constexpr std::size_t kLanes = 8;
 
-// Three coordinates of eight points.
-struct Points8 {
-  Float8 x, y, z;
-
-  Points8 operator+(const Points8& o) const { return {x + o.x, y + o.y, z + o.z}; }
-  Points8 operator-(const Points8& o) const { return {x - o.x, y - o.y, z - o.z}; }
-  Points8 operator*(Float8 s) const { return {s * x, s * y, s * z}; }
-};
-Float8 dot(const Points8& a, const Points8& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-Points8 cross(const Points8& a, const Points8& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-
-// Eight particles: where the step starts, and by how much they move in it.
+// Eight particles: where the step ends, and by how much they move in it.
 struct Moving8 {
-  Points8 start, motion;
-  Points8 end() const { return start + motion; }
+  Points8 end, motion;
 };
 
-// The boxes of single particles hold both.
-template <typename IndexOf>
-Moving8 gather(const std::vector<SweptBox>& boxes, const IndexOf& index_of) {
-  Float4 start[kLanes], motion[kLanes];
+template <typename Moving, typename IndexOf>
+Moving8 gather(const std::vector<Moving>& moving, const IndexOf& index_of) {
+  Float4 end[kLanes], motion[kLanes];
   for (std::size_t k = 0; k < kLanes; ++k) {
-    const SweptBox& box = boxes[index_of(k)];
-    start[k] = 0.5f * (box.lower + box.upper);
-    motion[k] = box.motion_lower;
+    const Moving& particle = moving[index_of(k)];
+    end[k] = particle.end;
+    motion[k] = particle.motion;
   }
-  Float8 s[4], m[4];
-  transpose(start, s);
+  Float8 e[4], m[4];
+  transpose(end, e);
   transpose(motion, m);
-  return {{s[0], s[1], s[2]}, {m[0], m[1], m[2]}};
-}
-
-// What float32 may be wrong by in any coordinate or distance, metres.
-Float8 rounding(const Points8& p) { return 1e-6f * (1 + max(max(abs(p.x), abs(p.y)), abs(p.z))); }
-
-Float8 clamp01(Float8 t) { return min(max(t, Float8{}), broadcast8(1)); }
-
-Float8 squared_distance_to_segment(const Points8& p, const Points8& a, const Points8& b) {
-  const Points8 ab = b - a, ap = p - a;
-  const Points8 way = ap - ab * clamp01(dot(ap, ab) / max(dot(ab, ab), broadcast8(1e-30f)));
-  return dot(way, way);
-}
-
-Float8 squared_vertex_face_distance(const Points8& p, const Points8& a, const Points8& b, const Points8& c) {
-  const Points8 ab = b - a, ac = c - a, ap = p - a, normal = cross(ab, ac);
-  const Float8 area = dot(normal, normal), v = dot(cross(ap, ac), normal), w = dot(cross(ab, ap), normal);
-  const Int8 inside = (v >= 0) & (w >= 0) & (v + w <= area) & (area > 0);
-  const Float8 height = dot(normal, ap), plane = height * height / max(area, broadcast8(1e-30f));
-  const Float8 edges = min(squared_distance_to_segment(p, a, b),
-                           min(squared_distance_to_segment(p, b, c), squared_distance_to_segment(p, c, a)));
-  return select(inside, min(plane, edges), edges);
-}
-
-// Ericson 2005, section 5.1.9. Where the segments are almost parallel rounding moves the points along them, which
-// changes the distance by next to nothing.
-Float8 squared_edge_edge_distance(const Points8& a0, const Points8& a1, const Points8& b0, const Points8& b1) {
-  const Points8 d1 = a1 - a0, d2 = b1 - b0, r = a0 - b0;
-  const Float8 tiny = broadcast8(1e-30f);
-  const Float8 a = max(dot(d1, d1), tiny), e = max(dot(d2, d2), tiny), b = dot(d1, d2), c = dot(d1, r), f = dot(d2, r);
-  const Float8 s = clamp01((b * f - c * e) / max(a * e - b * b, tiny));
-  const Float8 t = clamp01((b * s + f) / e);
-  const Points8 way = r + d1 * clamp01((b * t - c) / a) - d2 * t;
-  return dot(way, way);
+  return {{e[0], e[1], e[2]}, {m[0], m[1], m[2]}};
 }
 
 }  // namespace
@@ -104,50 +57,30 @@ double ContactSystem::keep_if_close(const Pair& pair, const Points& start, const
   return clearance;
 }
 
-// Calls use(pair) for the vertex-face and edge-edge pairs that two faces own, each pair of the mesh being owned by one
-// pair of faces. boxes: only those whose boxes overlap.
-template <typename Use>
-void ContactSystem::for_each_pair(std::uint32_t f, std::uint32_t g, bool boxes, const Use& use) const {
-  SweptBox box_f, box_g;
-  if (boxes) {
-    box_f = face_box(f);
-    box_g = face_box(g);
-  }
-  const auto vertices_against_face = [&](std::uint32_t owner, std::uint32_t face, const SweptBox& face_box) {
-    const auto& corners = faces_[face];
-    for (const std::uint32_t v : own_vertices_[owner]) {
-      if (v == kNone || v == corners[0] || v == corners[1] || v == corners[2]) continue;
-      if (boxes && !boxes_[v].may_meet(face_box)) continue;
-      use(Pair{{v, corners[0], corners[1], corners[2]}, Kind::kVertexFace, 0});
-    }
-  };
-  vertices_against_face(f, g, box_g);
-  vertices_against_face(g, f, box_f);
-  for (const std::uint32_t e : own_edges_[f]) {
-    if (e == kNone) continue;
-    const auto [a, b] = edges_[e];
-    SweptBox box = boxes_[a];
-    box.extend(boxes_[b]);
-    if (boxes && !box.may_meet(box_g)) continue;
-    for (const std::uint32_t other : own_edges_[g]) {
-      if (other == kNone) continue;
-      const auto [c, d] = edges_[other];
-      if (a == c || a == d || b == c || b == d) continue;
-      if (boxes) {
-        SweptBox other_box = boxes_[c];
-        other_box.extend(boxes_[d]);
-        if (!box.may_meet(other_box)) continue;
-      }
-      use(Pair{{a, b, c, d}, Kind::kEdgeEdge, 0});
-    }
-  }
+// The vertex-face and edge-edge pairs that two faces own, each pair of the mesh being owned by one pair of faces. Bits
+// 0-2: vertices of f with g, bits 3-5: vertices of g with f, bit 6 + 3 i + j: edge i of f with edge j of g.
+std::uint32_t ContactSystem::owned_pairs(std::uint32_t f, std::uint32_t g) const {
+  const std::uint32_t own_f = own_bits_[f], own_g = own_bits_[g], edges_f = own_f >> 3, edges_g = own_g >> 3;
+  const std::uint32_t first_of_rows = (edges_f & 1u) | (edges_f & 2u) << 2 | (edges_f & 4u) << 4;
+  return (own_f & 7u) | (own_g & 7u) << 3 | (first_of_rows * edges_g) << 6;
 }
 
-SweptBox ContactSystem::face_box(std::uint32_t f) const {
-  SweptBox box = boxes_[faces_[f][0]];
-  box.extend(boxes_[faces_[f][1]]);
-  box.extend(boxes_[faces_[f][2]]);
-  return box;
+// owned: some of owned_pairs().
+void ContactSystem::append_pairs(std::uint32_t f, std::uint32_t g, std::uint32_t owned, std::vector<Pair>& out) const {
+  const auto &c = faces_[f], &d = faces_[g];
+  std::size_t at = out.size();
+  out.resize(at + static_cast<std::size_t>(__builtin_popcount(owned)));
+  for (; owned != 0; owned &= owned - 1) {
+    const auto bit = static_cast<std::size_t>(__builtin_ctz(owned));
+    if (bit >= 6) {
+      const auto &a = edges_[own_edges_[f][(bit - 6) / 3]], &b = edges_[own_edges_[g][(bit - 6) % 3]];
+      out[at++] = {{a[0], a[1], b[0], b[1]}, Kind::kEdgeEdge, 0};
+    } else if (bit >= 3) {
+      out[at++] = {{d[bit - 3], c[0], c[1], c[2]}, Kind::kVertexFace, 0};
+    } else {
+      out[at++] = {{c[bit], d[0], d[1], d[2]}, Kind::kVertexFace, 0};
+    }
+  }
 }
 
 void ContactSystem::find_neighbours() {
@@ -164,9 +97,20 @@ void ContactSystem::find_neighbours() {
       const bool known = std::any_of(near.begin(), near.begin() + static_cast<std::ptrdiff_t>(i),
                                      [g = g](const auto& other) { return other.first == g; });
       if (g <= f || known) continue;
-      bool owns = false;
-      for_each_pair(f, g, false, [&](const Pair&) { owns = true; });
-      if (owns) neighbours_.push_back({f, g, between, -1});
+      std::uint32_t apart = 0;  // those that share no vertex
+      std::vector<Pair> owned;
+      const std::uint32_t all = owned_pairs(f, g);
+      append_pairs(f, g, all, owned);
+      std::uint32_t rest = all;
+      for (const Pair& pair : owned) {
+        const auto& v = pair.v;
+        const bool shares = pair.kind == Kind::kVertexFace
+                                ? v[0] == v[1] || v[0] == v[2] || v[0] == v[3]
+                                : v[0] == v[2] || v[0] == v[3] || v[1] == v[2] || v[1] == v[3];
+        if (!shares) apart |= rest & -rest;
+        rest &= rest - 1;
+      }
+      if (apart != 0) neighbours_.push_back({f, g, between, apart, -1});
       if (!sharing) joined_.push_back(g);
     }
   };
@@ -210,7 +154,7 @@ void ContactSystem::keep_close(std::span<const Pair> candidates, const Points& s
     const std::size_t count = std::min(kLanes, candidates.size() - begin);
     const auto at = [&](std::size_t k) -> const Pair& { return candidates[begin + std::min(k, count - 1)]; };
     std::array<Moving8, 4> p;
-    for (std::size_t i = 0; i < 4; ++i) p[i] = gather(boxes_, [&](std::size_t k) { return at(k).v[i]; });
+    for (std::size_t i = 0; i < 4; ++i) p[i] = gather(moving_, [&](std::size_t k) { return at(k).v[i]; });
     Int8 edges{};
     for (std::size_t k = 0; k < kLanes; ++k) edges[static_cast<int>(k)] = at(k).kind == Kind::kEdgeEdge ? -1 : 0;
     // Bound of the motion of the two sides towards each other (motion_bound).
@@ -223,10 +167,10 @@ void ContactSystem::keep_close(std::span<const Pair> candidates, const Points& s
     const Float8 later = max(speed[2], speed[3]);
     const Float8 bound =
         sqrt(select(edges, max(speed[0], speed[1]), speed[0])) + sqrt(select(edges, later, max(speed[1], later)));
-    const Points8 x0 = p[0].end(), x1 = p[1].end(), x2 = p[2].end(), x3 = p[3].end();
+    const Points8 &x0 = p[0].end, &x1 = p[1].end, &x2 = p[2].end, &x3 = p[3].end;
     const Float8 squared =
         select(edges, squared_edge_edge_distance(x0, x1, x2, x3), squared_vertex_face_distance(x0, x1, x2, x3));
-    const Float8 distance = (1 - 1e-5f) * sqrt(squared) - 4 * rounding(x0);
+    const Float8 distance = at_least(squared, max(max(rounding(x0), rounding(x1)), max(rounding(x2), rounding(x3))));
     const std::uint32_t far = bits(distance > max(reach, bound + beyond));
     for (std::size_t k = 0; k < count; ++k) {
       double clearance = static_cast<double>(distance[static_cast<int>(k)]);
@@ -257,22 +201,25 @@ void ContactSystem::add_neighbours(const Points& start, const Points& end, Threa
     });
   }
   constexpr std::size_t kGrain = 8192;
-  std::vector<std::vector<Pair>> results((neighbours_.size() + kGrain - 1) / kGrain);
+  const std::size_t parts = (neighbours_.size() + kGrain - 1) / kGrain;
+  if (parts_.size() < parts) parts_.resize(parts);
   const double reach = thickness_ + 4 * slack_ + 2 * kGap;
   pool.parallel_for(neighbours_.size(), kGrain, [&](std::size_t begin, std::size_t last) {
-    std::vector<Pair> candidates;
+    auto& [candidates, kept] = parts_[begin / kGrain];
+    candidates.clear();
+    kept.clear();
     std::vector<std::uint32_t> ends;  // of the candidates of each neighbour that is looked at
     std::vector<Neighbours*> looked;
     for (std::size_t i = begin; i < last; ++i) {
       Neighbours& n = neighbours_[i];
       const double deformation = deformation_of(n);
       if (deformation < n.safe_until) continue;
-      for_each_pair(n.f, n.g, false, [&](const Pair& pair) { candidates.push_back(pair); });
+      append_pairs(n.f, n.g, n.owned, candidates);
       ends.push_back(static_cast<std::uint32_t>(candidates.size()));
       looked.push_back(&n);
     }
     std::vector<double> clearances(candidates.size());
-    keep_close(candidates, start, end, results[begin / kGrain], clearances);
+    keep_close(candidates, start, end, kept, clearances);
     std::size_t next = 0;
     for (std::size_t k = 0; k < looked.size(); ++k) {
       double clearance = 1e30;
@@ -280,7 +227,14 @@ void ContactSystem::add_neighbours(const Points& start, const Points& end, Threa
       looked[k]->safe_until = deformation_of(*looked[k]) + clearance - reach;
     }
   });
-  for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
+  take_kept(parts);
+}
+
+// The first parts' pairs, in their order.
+void ContactSystem::take_kept(std::size_t parts) {
+  for (std::size_t i = 0; i < parts; ++i) {
+    pairs_.insert(pairs_.end(), parts_[i].kept.begin(), parts_[i].kept.end());
+  }
 }
 
 // Which of at most eight pairs of faces (f of the cloth, g) a plane keeps apart for the whole motion, a bit each, and
@@ -294,16 +248,16 @@ std::uint32_t ContactSystem::apart(std::span<const SweptBvh::Pair> faces) const 
   Points8 origin{};
   Float8 error{};
   for (std::size_t i = 0; i < 3; ++i) {
-    const Moving8 a = gather(boxes_, [&](std::size_t k) { return faces_[at(k).first][i]; });
-    const Moving8 b = gather(boxes_, [&](std::size_t k) { return faces_[at(k).second][i]; });
+    const Moving8 a = gather(moving_, [&](std::size_t k) { return faces_[at(k).first][i]; });
+    const Moving8 b = gather(moving_, [&](std::size_t k) { return faces_[at(k).second][i]; });
     if (i == 0) {
-      origin = a.start;
+      origin = a.end;
       error = 4 * rounding(origin);
     }
-    a0[i] = a.start - origin;
-    b0[i] = b.start - origin;
-    a1[i] = a0[i] + a.motion;
-    b1[i] = b0[i] + b.motion;
+    a1[i] = a.end - origin;
+    b1[i] = b.end - origin;
+    a0[i] = a1[i] - a.motion;
+    b0[i] = b1[i] - b.motion;
   }
   const Points8 between =
       a0[0] + a0[1] + a0[2] + a1[0] + a1[1] + a1[2] - (b0[0] + b0[1] + b0[2] + b1[0] + b1[1] + b1[2]);
@@ -328,39 +282,46 @@ std::uint32_t ContactSystem::apart(std::span<const SweptBvh::Pair> faces) const 
 void ContactSystem::find_pairs(const Points& start, const Points& end, ThreadPool& pool) {
   const double margin = 0.5 * thickness_ + slack_ + kGap;
   pool.parallel_for(particle_count_, 4096, [&](std::size_t begin, std::size_t last) {
-    for (std::size_t i = begin; i < last; ++i) boxes_[i] = SweptBox(start[i], end[i], margin);
+    for (std::size_t i = begin; i < last; ++i) {
+      boxes_[i] = SweptBox(start[i], end[i], margin);
+      moving_[i] = {to_float4(end[i]), boxes_[i].motion_lower};
+    }
   });
   cloth_bvh_.refit(boxes_, pool);
-  std::vector<SweptBvh::Pair> face_pairs;
-  if (scene_.contact.self_collision) face_pairs = cloth_bvh_.self_pairs(pool, 1'000'000 + 1000 * cloth_faces_);
+  face_pairs_.clear();
+  pairs_.clear();
+  if (scene_.contact.self_collision) {
+    add_neighbours(start, end, pool);
+    for (const auto& [f, g] : cloth_bvh_.self_pairs(pool, 1'000'000 + 1000 * cloth_faces_)) {
+      if (!is_joined(f, g)) face_pairs_.push_back({f, g});
+    }
+  }
   if (!obstacle_bvh_.empty()) {
-    obstacle_bvh_.refit(boxes_, pool);
-    for (const auto& [f, g] : cloth_bvh_.pairs(obstacle_bvh_)) {
-      face_pairs.push_back({f, g + static_cast<std::uint32_t>(cloth_faces_)});
+    obstacle_bvh_.refit(boxes_, cloth_bvh_);
+    const std::size_t first = face_pairs_.size();
+    cloth_bvh_.append_pairs(obstacle_bvh_, face_pairs_);
+    for (std::size_t i = first; i < face_pairs_.size(); ++i) {
+      face_pairs_[i].second += static_cast<std::uint32_t>(cloth_faces_);
     }
   }
   constexpr std::size_t kGrain = 4096;
-  std::vector<std::vector<Pair>> results((face_pairs.size() + kGrain - 1) / kGrain);
-  pool.parallel_for(face_pairs.size(), kGrain, [&](std::size_t begin, std::size_t last) {
-    std::vector<Pair> candidates;
-    std::array<SweptBvh::Pair, kLanes> group{};
-    for (std::size_t p = begin; p < last;) {
-      std::size_t count = 0;
-      for (; p < last && count < kLanes; ++p) {
-        const auto [f, g] = face_pairs[p];
-        if (g >= cloth_faces_ || !is_joined(f, g)) group[count++] = face_pairs[p];
-      }
-      const std::uint32_t gone = apart({group.data(), count});
-      for (std::size_t k = 0; k < count; ++k) {
-        if ((gone >> k & 1u) != 0) continue;
-        for_each_pair(group[k].first, group[k].second, true, [&](const Pair& pair) { candidates.push_back(pair); });
+  const std::size_t parts = (face_pairs_.size() + kGrain - 1) / kGrain;
+  if (parts_.size() < parts) parts_.resize(parts);
+  pool.parallel_for(face_pairs_.size(), kGrain, [&](std::size_t begin, std::size_t last) {
+    auto& [candidates, kept] = parts_[begin / kGrain];
+    candidates.clear();
+    kept.clear();
+    for (std::size_t p = begin; p < last; p += kLanes) {
+      const std::span group = std::span(face_pairs_).subspan(p, std::min(kLanes, last - p));
+      const std::uint32_t gone = apart(group);
+      for (std::size_t k = 0; k < group.size(); ++k) {
+        const auto [f, g] = group[k];
+        if ((gone >> k & 1u) == 0) append_pairs(f, g, owned_pairs(f, g), candidates);
       }
     }
-    keep_close(candidates, start, end, results[begin / kGrain], {});
+    keep_close(candidates, start, end, kept, {});
   });
-  pairs_.clear();
-  if (scene_.contact.self_collision) add_neighbours(start, end, pool);
-  for (const auto& r : results) pairs_.insert(pairs_.end(), r.begin(), r.end());
+  take_kept(parts);
   add_round_pairs(start, end, margin);
   pairs_end_ = end;
 }

@@ -188,6 +188,7 @@ void ContactSystem::begin_layer(const Points& x) {
 
 std::vector<Violation> ContactSystem::violations(const Points& x, ThreadPool& pool) {
   find_pairs(x, x, pool);
+  if (!obstacle_bvh_.empty()) obstacle_bvh_.refit(boxes_, pool);  // find_inside() looks for what is far away, too
   std::vector<Violation> found;
   find_crossings(x, pool, found);
   find_inside(x, found);

@@ -5,6 +5,7 @@
 #include <random>
 
 #include "common/base/error.hpp"
+#include "common/mesh/triangle_intersection.hpp"
 #include "services/refinement/judge.hpp"
 #include "tests/unit/services/refinement/independent_judge.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
@@ -118,6 +119,52 @@ TEST(ObstacleField, NearContactsAreContactsUpToADepth) {
   }
   EXPECT_GT(deep, 20);
   EXPECT_GT(found, 100);
+}
+
+// Packs found for a box answer as the whole mesh does: contacts of the points in it, intersections of the triangles in
+// it.
+TEST_P(Closed, PacksNearABoxAnswerAsTheMesh) {
+  const auto& mesh = GetParam();
+  MeshObstacle obstacle(mesh.faces, mesh.positions.rows(), "mesh");
+  obstacle.update(mesh.positions);
+  std::mt19937 random(9);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  const auto any = [&] { return Eigen::Vector3d(uniform(random), uniform(random), uniform(random)); };
+  constexpr double kReach = 0.04;
+  int near = 0, crossing = 0;
+  std::vector<std::uint32_t> packs;
+  for (int i = 0; i < 500; ++i) {
+    const Eigen::Vector3d center = 0.7 * any();
+    std::array<Eigen::Vector3f, 3> triangle;
+    Box box;
+    for (Eigen::Vector3f& corner : triangle) {
+      corner = (center + 0.1 * any()).cast<float>();
+      box.extend(corner.cast<double>());
+    }
+    packs.clear();
+    obstacle.find_packs(widened(box, kReach), packs);
+    for (const Eigen::Vector3f& corner : triangle) {
+      std::uint32_t hint = kNone;
+      const auto expected = obstacle.contact_near(corner.cast<double>(), kReach, hint);
+      const auto found = obstacle.contact_near(corner.cast<double>(), kReach, packs);
+      ASSERT_EQ(found.has_value(), expected.has_value());
+      if (!found) continue;
+      EXPECT_EQ(found->distance, expected->distance);
+      EXPECT_EQ(found->normal, expected->normal);
+      ++near;
+    }
+    bool expected = false;
+    for (std::uint32_t f = 0; f < static_cast<std::uint32_t>(mesh.faces.rows()); ++f) {
+      expected = expected || triangles_intersect(
+                                 triangle, {mesh.positions.row(mesh.faces(f, 0)), mesh.positions.row(mesh.faces(f, 1)),
+                                            mesh.positions.row(mesh.faces(f, 2))});
+    }
+    EXPECT_EQ(obstacle.intersects(triangle, packs), expected);
+    EXPECT_EQ(obstacle.intersects(triangle), expected);
+    crossing += expected;
+  }
+  EXPECT_GT(near, 20);
+  EXPECT_GT(crossing, 20);
 }
 
 TEST(Capsules, FacesAgreeWithAScan) {

@@ -102,6 +102,42 @@ TEST(Bvh, PartsOfTheTraversalGiveEveryPairOnce) {
   }
 }
 
+TEST(Bvh, GroupsHoldAllElementsOnceAndAreNear) {
+  for (const std::size_t count : {1u, 7u, 8u, 9u, 100u, 4096u}) {
+    const auto boxes = random_boxes(count, 0, 5);
+    const std::vector<std::uint32_t> order = near_groups(boxes, 8);
+    std::vector<std::uint32_t> elements(order);
+    std::sort(elements.begin(), elements.end());
+    ASSERT_EQ(elements.size(), count);
+    for (std::uint32_t i = 0; i < count; ++i) EXPECT_EQ(elements[i], i);
+    double groups = 0;
+    Box all;
+    for (std::size_t begin = 0; begin < count; begin += 8) {
+      Box group;
+      for (std::size_t i = begin; i < std::min(begin + 8, count); ++i) group.extend(boxes[order[i]]);
+      for (int k = 0; k < 3; ++k) groups += static_cast<double>(group.upper[k] - group.lower[k]);
+      all.extend(group);
+    }
+    double whole = 0;
+    for (int k = 0; k < 3; ++k) whole += static_cast<double>(all.upper[k] - all.lower[k]);
+    // 512 groups of a cube are an eighth as long as it, or little more.
+    if (count == 4096) {
+      EXPECT_LT(groups / 512, whole / 6);
+    }
+  }
+}
+
+TEST(Box, WidenedByAMargin) {
+  const auto boxes = random_boxes(50, 0.2, 3);
+  const Box wide = widened(boxes[0], 0.125);
+  for (int k = 0; k < 3; ++k) {
+    EXPECT_LE(wide.lower[k], boxes[0].lower[k] - 0.125f);
+    EXPECT_GE(wide.upper[k], boxes[0].upper[k] + 0.125f);
+    EXPECT_NEAR(wide.lower[k], boxes[0].lower[k] - 0.125f, 1e-5);
+    EXPECT_NEAR(wide.upper[k], boxes[0].upper[k] + 0.125f, 1e-5);
+  }
+}
+
 // Far from the origin, where a float is as coarse as the boxes are small, and with boxes that are points.
 TEST(Bvh, NearestMissesNothingWhereFloatsAreCoarse) {
   for (const double offset : {0.0, 1000.0, 1e5}) {

@@ -154,5 +154,33 @@ TEST(SweptBvh, EmptyOnesAndTooManyPairs) {
   EXPECT_THROW(crowded.self_pairs(pool, 100), Error);
 }
 
+// What the other hierarchy is not near to is left out of the refit, and no pair is lost by it; nor do places of an
+// earlier refit remain.
+TEST(SweptBvh, ARefitForAnotherHierarchyKeepsAllPairsWithIt) {
+  ThreadPool pool(1);
+  for (const std::size_t count : {1u, 8u, 300u, 5000u}) {
+    const Soup body(count, 0.02, 0.01, 3);
+    SweptBvh whole(body.faces, body.start), part(body.faces, body.start);
+    whole.refit(body.boxes(1e-3), pool);
+    std::size_t pairs = 0;
+    for (const double offset : {-0.9, 0.0, 0.9, 5.0}) {
+      Soup cloth(200, 0.02, 0.01, 4);
+      for (auto* points : {&cloth.start, &cloth.end}) {
+        for (Vector3d& p : *points) p = Vector3d(0.2 * p.x() + offset, p.y(), p.z());
+      }
+      SweptBvh other(cloth.faces, cloth.start);
+      other.refit(cloth.boxes(1e-3), pool);
+      part.refit(body.boxes(1e-3), other);
+      EXPECT_EQ(other.pairs(part), other.pairs(whole));
+      pairs += other.pairs(whole).size();
+    }
+    if (count == 5000) {
+      EXPECT_GT(pairs, 50u);
+    }
+    part.refit(body.boxes(1e-3), pool);
+    EXPECT_EQ(part.self_pairs(pool, 10'000'000), whole.self_pairs(pool, 10'000'000));
+  }
+}
+
 }  // namespace
 }  // namespace pleat
