@@ -63,8 +63,7 @@ void add_generate_options(CLI::App& app, GenerateChoice& choice) {
   app.add_option("--frames", choice.frames, "frames a sequence, instead of the scale's")->check(positive_number());
   app.add_option("--train", choice.train,
                  "sequences for training (default: draping 10, hitting 27, sheet 16, disk 8, skirt 5, tshirt and pants "
-                 "18, family "
-                 "96)")
+                 "18, family 96)")
       ->check(natural_number());
   app.add_option("--test", choice.test,
                  "sequences for testing (default: draping 3, hitting 8, sheet 4, family 12, others 2)")

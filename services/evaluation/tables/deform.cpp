@@ -14,20 +14,21 @@ struct FreeSet {
   const char* key;      ///< of TablesOptions::free_sets; its bundle and configuration have the name, too
   const char* name;     ///< in tables
   const char* options;  ///< of pleat dataset generate
-  double coarse_vertices, fine_vertices, fine_ms, ours_ms, speedup, coarse_ms, extraction_ms, network_ms,
-      refinement_ms;  // table 1, in ms
-  double rmse_mm;     // table 3, as if its unit were the metre
+  PrintedTimes times;   ///< table 1; conversion: its extraction of features
+  double rmse_mm;       ///< table 3, as if its unit were the metre
 };
 constexpr FreeSet kSets[] = {
-    {"tshirt", "TSHIRT", "--set tshirt --scale full", 246, 14190, 8720, 867, 10, 730, 110, 12, 15, 0},
-    {"pants", "PANTS", "--set pants --scale full", 200, 11967, 10920, 904, 12, 800, 78, 13, 13, 0},
-    {"skirt-free", "SKIRT, free",
-     "--set skirt --garment deploy/garments/skirt-127.obj --rounds 3 --fine free --train 18 --scale full", 127, 6812,
-     6840, 207, 33, 81, 100, 14, 12, 0},
-    {"sheet", "SHEET x16", "--set sheet --scale full", 0, 0, 0, 0, 0, 0, 0, 0, 0, 5.89},
-    {"sheet-64", "SHEET x64", "--set sheet --rounds 3 --scale full", 81, 4225, 2480, 157, 16, 35, 100, 11, 11, 5.43},
-    {"sheet-256", "SHEET x256", "--set sheet --rounds 4 --scale full", 0, 0, 0, 0, 0, 0, 0, 0, 0, 5.31},
-    {"disk", "DISK", "--set disk --scale full", 148, 7729, 4930, 139, 35, 78, 41, 12, 8, 0}};
+    {"tshirt", "TSHIRT", "--set tshirt --scale full", {246, 14190, 8720, 867, 10, 730, 110, 12, 15}, 0},
+    {"pants", "PANTS", "--set pants --scale full", {200, 11967, 10920, 904, 12, 800, 78, 13, 13}, 0},
+    {"skirt-free",
+     "SKIRT, free",
+     "--set skirt --garment deploy/garments/skirt-127.obj --rounds 3 --fine free --train 18 --scale full",
+     {127, 6812, 6840, 207, 33, 81, 100, 14, 12},
+     0},
+    {"sheet", "SHEET x16", "--set sheet --scale full", {0, 0, 0, 0, 0, 0, 0, 0, 0}, 5.89},
+    {"sheet-64", "SHEET x64", "--set sheet --rounds 3 --scale full", {81, 4225, 2480, 157, 16, 35, 100, 11, 11}, 5.43},
+    {"sheet-256", "SHEET x256", "--set sheet --rounds 4 --scale full", {0, 0, 0, 0, 0, 0, 0, 0, 0}, 5.31},
+    {"disk", "DISK", "--set disk --scale full", {148, 7729, 4930, 139, 35, 78, 41, 12, 8}, 0}};
 constexpr const char* kTracked = "sheet-tracked";  ///< SHEET x16 with a fine cloth that follows
 
 /// What is changed in SHEET's ablations: the end of the configuration's name, and what to call it.
@@ -52,8 +53,6 @@ constexpr const char* kAblations[][2] = {{"-history", "tokens, own answers read 
                                          {"-published-deviation", "published, one deviation a group"},
                                          {"-published-offsets", "published, with offsets"},
                                          {"-published-gradients", "published, gradients"}};
-
-std::optional<double> printed(double figure) { return figure > 0 ? std::optional(figure) : std::nullopt; }
 
 std::vector<Wanted> wanted(const TablesOptions& options, const std::string& set) {
   std::vector<Wanted> list{{set, "tokens", training(options, set), true, true}};
@@ -100,30 +99,8 @@ Table table1(const std::vector<Benchmark>& benchmarks) {
               "Printed: ARCSim, extraction of features, a network on a GPU. Measured: medians on this machine, both "
               "simulations over the first frames of a test sequence, all other stages over all of them."};
   for (std::size_t i = 0; i < benchmarks.size(); ++i) {
-    const Benchmark& b = benchmarks[i];
-    const FreeSet& p = kSets[i];
-    const Wanted& bundle = b.request.bundles.front();
-    const std::string why = b.missing.empty() ? bundle.command : b.missing;
-    const auto coarse = b.coarse_ms, conversion = stage(b, bundle.name, {"to_image", "to_mesh"}),
-               network = stage(b, bundle.name, {"superres"}), refinement = stage(b, bundle.name, {"refinement"});
-    std::optional<double> ours, speedup, coarse_vertices, fine_vertices;
-    if (coarse && conversion && network && refinement) ours = *coarse + *conversion + *network + *refinement;
-    if (ours && b.fine_ms) speedup = *b.fine_ms / *ours;
-    if (b.missing.empty()) {
-      coarse_vertices = static_cast<double>(b.positions.at("coarse").rows());
-      fine_vertices = static_cast<double>(b.positions.at("reference").rows());
-    }
-    const std::string no_times = b.missing.empty() ? "build/bin/pleat bench tables" : b.missing;
-    table.rows.push_back({{p.name},
-                          {{printed(p.coarse_vertices), coarse_vertices, b.missing},
-                           {printed(p.fine_vertices), fine_vertices, b.missing},
-                           {printed(p.fine_ms), b.fine_ms, no_times},
-                           {printed(p.ours_ms), ours, why},
-                           {printed(p.speedup), speedup, why},
-                           {printed(p.coarse_ms), coarse, no_times},
-                           {printed(p.extraction_ms), conversion, why},
-                           {printed(p.network_ms), network, why},
-                           {printed(p.refinement_ms), refinement, why}}});
+    const Wanted& bundle = benchmarks[i].request.bundles.front();
+    table.rows.push_back(row_of_times(benchmarks[i], kSets[i].times, &bundle, bundle.command));
   }
   return table;
 }
@@ -148,7 +125,7 @@ Table table3(const std::vector<Benchmark>& benchmarks) {
     const Wanted& bundle = benchmarks[i].request.bundles.front();
     TableRow row{{kSets[i].name},
                  {rmse(benchmarks[i], "barycentric", ""), rmse(benchmarks[i], bundle.name, bundle.command)}};
-    row.entries[1].printed = printed(kSets[i].rmse_mm);
+    row.entries[1].printed = kSets[i].rmse_mm;
     table.rows.push_back(std::move(row));
   }
   return table;

@@ -55,6 +55,19 @@ std::vector<Wanted> collect(const TablesOptions& options, const Request& request
   return there;
 }
 
+/// Medians of the stages added, in ms; nothing if none of them ran.
+std::optional<double> stage(const Benchmark& benchmark, const std::string& bundle,
+                            const std::vector<std::string>& stages) {
+  const auto found = benchmark.figures.find(bundle);
+  if (found == benchmark.figures.end()) return {};
+  double sum = 0;
+  bool any = false;
+  for (const auto& [name, ms] : found->second.median_ms) {
+    if (std::find(stages.begin(), stages.end(), name) != stages.end()) sum += ms, any = true;
+  }
+  return any ? std::optional<double>(sum) : std::nullopt;
+}
+
 bool has_examples(const DatasetReader& dataset) {
   const auto all = dataset.sequences();
   return std::any_of(all.begin(), all.end(), [](const SequenceInfo& s) { return s.split == "train"; });
@@ -123,16 +136,29 @@ std::string training(const TablesOptions& options, const std::string& name) {
   return "build/bin/pleat-train " + (options.configurations / (name + ".train.json")).string();
 }
 
-std::optional<double> stage(const Benchmark& benchmark, const std::string& bundle,
-                            const std::vector<std::string>& stages) {
-  const auto found = benchmark.figures.find(bundle);
-  if (found == benchmark.figures.end()) return {};
-  double sum = 0;
-  bool any = false;
-  for (const auto& [name, ms] : found->second.median_ms) {
-    if (std::find(stages.begin(), stages.end(), name) != stages.end()) sum += ms, any = true;
+TableRow row_of_times(const Benchmark& b, const PrintedTimes& printed, const Wanted* bundle,
+                      const std::string& command) {
+  const std::string why = b.missing.empty() ? command : b.missing;
+  const std::string no_times = b.missing.empty() ? "build/bin/pleat bench tables" : b.missing;
+  const std::string name = bundle != nullptr ? bundle->name : "";
+  const auto coarse = b.coarse_ms, conversion = stage(b, name, {"to_image", "to_mesh"}),
+             network = stage(b, name, {"superres"}), refinement = stage(b, name, {"refinement"});
+  std::optional<double> ours, speedup, coarse_vertices, fine_vertices;
+  if (coarse && conversion && network && refinement) ours = *coarse + *conversion + *network + *refinement;
+  if (ours && b.fine_ms) speedup = *b.fine_ms / *ours;
+  if (b.missing.empty()) {
+    coarse_vertices = static_cast<double>(b.positions.at("coarse").rows());
+    fine_vertices = static_cast<double>(b.positions.at("reference").rows());
   }
-  return any ? std::optional<double>(sum) : std::nullopt;
+  const auto entry = [](double figure, std::optional<double> measured, const std::string& missing) {
+    return TableEntry{figure > 0 ? std::optional(figure) : std::nullopt, measured, missing};
+  };
+  return {{b.request.name},
+          {entry(printed.coarse_vertices, coarse_vertices, b.missing),
+           entry(printed.fine_vertices, fine_vertices, b.missing), entry(printed.fine_ms, b.fine_ms, no_times),
+           entry(printed.ours_ms, ours, why), entry(printed.speedup, speedup, why),
+           entry(printed.coarse_ms, coarse, no_times), entry(printed.conversion_ms, conversion, why),
+           entry(printed.network_ms, network, why), entry(printed.refinement_ms, refinement, why)}};
 }
 
 PictureRow pictures(const Benchmark& b, const Panels& panels) {

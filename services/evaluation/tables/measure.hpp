@@ -49,9 +49,14 @@ Benchmark measure(const TablesOptions& options, Request request, const TablesPro
 /// The command that trains a configuration.
 std::string training(const TablesOptions& options, const std::string& name);
 
-/// Medians of the stages added, in ms; nothing if none of them ran.
-std::optional<double> stage(const Benchmark& benchmark, const std::string& bundle,
-                            const std::vector<std::string>& stages);
+/// What a paper prints of sizes and times, in the order of the columns; 0: nothing. Times in ms.
+struct PrintedTimes {
+  double coarse_vertices, fine_vertices, fine_ms, ours_ms, speedup, coarse_ms, conversion_ms, network_ms, refinement_ms;
+};
+/// The row of a table of times: printed and measured figures of a data set. `bundle`: whose stages are "ours"; null: no
+/// bundle ran. `command` makes one.
+TableRow row_of_times(const Benchmark& benchmark, const PrintedTimes& printed, const Wanted* bundle,
+                      const std::string& command);
 
 /// (label, name of the positions, command)
 using Panels = std::vector<std::array<std::string, 3>>;

@@ -17,22 +17,13 @@ const char* const kLossNames[] = {"L_d", "L_d+n", "L_d+v", "L_d+n+v", "L_all"};
 /// What [MFSR] prints of one benchmark.
 struct Printed {
   const char* name;
-  double coarse_vertices, fine_vertices;
-  double tracked_ms, ours_ms, speedup, coarse_ms, conversion_ms, network_ms, refinement_ms;  // Table 1, in ms
-  double chen_psnr, chen_vmse, zurdo_vmse, own_psnr, own_vmse;                               // Table 2
-  double losses[5];                                                                          // Table 3
+  PrintedTimes times;                                           // Table 1
+  double chen_psnr, chen_vmse, zurdo_vmse, own_psnr, own_vmse;  // Table 2
+  double losses[5];                                             // Table 3
 };
 constexpr Printed kPrinted[] = {
     {"DRAPING",
-     749,
-     11393,
-     4270,
-     345,
-     12,
-     129,
-     89,
-     55.3,
-     71.8,
+     {749, 11393, 4270, 345, 12, 129, 89, 55.3, 71.8},
      59.07,
      4.19e-4,
      1.30e-4,
@@ -40,22 +31,14 @@ constexpr Printed kPrinted[] = {
      7.09e-5,
      {67.90, 62.83, 67.92, 63.47, 68.68}},
     {"HITTING",
-     749,
-     11393,
-     4380,
-     341,
-     13,
-     135,
-     109,
-     53.1,
-     43.4,
+     {749, 11393, 4380, 341, 13, 135, 109, 53.1, 43.4},
      59.15,
      1.17e-4,
      5.78e-5,
      72.25,
      4.69e-5,
      {67.11, 68.23, 71.41, 69.75, 71.26}},
-    {"SKIRT", 1303, 19798, 10230, 709, 14, 227, 180, 28.1, 274, 0, 0, 0, 0, 0, {62.48, 60.76, 62.48, 61.31, 62.88}}};
+    {"SKIRT", {1303, 19798, 10230, 709, 14, 227, 180, 28.1, 274}, 0, 0, 0, 0, 0, {62.48, 60.76, 62.48, 61.31, 62.88}}};
 
 std::string lower(std::string text) {
   for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
@@ -99,32 +82,8 @@ Table table1(const std::vector<Benchmark>& benchmarks) {
               "Measured: medians on this machine, simulation of the shipped scene, all other stages on the test "
               "sequences; a frame is 40 ms of motion in 8 steps."};
   for (const Benchmark& b : benchmarks) {
-    const Printed& p = printed_of(b);
     const auto& bundles = b.request.bundles;
-    const Wanted* bundle = fastest_known(b, bundles);
-    const std::string name = bundle != nullptr ? bundle->name : "";
-    const std::string why = !b.missing.empty() ? b.missing : bundles.front().command;
-    const auto coarse = b.coarse_ms, conversion = stage(b, name, {"to_image", "to_mesh"}),
-               network = stage(b, name, {"superres"}), refinement = stage(b, name, {"refinement"});
-    std::optional<double> ours, speedup;
-    if (coarse && conversion && network && refinement) ours = *coarse + *conversion + *network + *refinement;
-    if (ours && b.fine_ms) speedup = *b.fine_ms / *ours;
-    std::optional<double> coarse_vertices, fine_vertices;
-    if (b.missing.empty()) {
-      coarse_vertices = static_cast<double>(b.positions.at("coarse").rows());
-      fine_vertices = static_cast<double>(b.positions.at("reference").rows());
-    }
-    const std::string no_times = b.missing.empty() ? "build/bin/pleat bench tables" : b.missing;
-    table.rows.push_back({{p.name},
-                          {{p.coarse_vertices, coarse_vertices, b.missing},
-                           {p.fine_vertices, fine_vertices, b.missing},
-                           {p.tracked_ms, b.fine_ms, no_times},
-                           {p.ours_ms, ours, why},
-                           {p.speedup, speedup, why},
-                           {p.coarse_ms, coarse, no_times},
-                           {p.conversion_ms, conversion, why},
-                           {p.network_ms, network, why},
-                           {p.refinement_ms, refinement, why}}});
+    table.rows.push_back(row_of_times(b, printed_of(b).times, fastest_known(b, bundles), bundles.front().command));
   }
   return table;
 }
