@@ -70,6 +70,18 @@ class TrainProgram : public testing::Test {
     return result;
   }
 
+  /// Of a training that is to be ended from outside: however late that comes, it is not done yet.
+  const std::string endless = " --set epochs=1000000";
+  /// Lines of shell that wait until the log of a training has so many epochs.
+  static std::string wait_for_rows(const std::string& output, int epochs) {
+    return "while [ $(cat " + output + "/log.csv 2>/dev/null | wc -l) -le " + std::to_string(epochs) +
+           " ]; do sleep 0.02; done; ";
+  }
+  /// The setting with which a training that was ended goes on for so many epochs.
+  std::string epochs_after(const std::string& output, int more) const {
+    return " --set epochs=" + std::to_string(static_cast<int>(rows(output).size()) + more);
+  }
+
   const test::TemporaryFolder temporary_;
   const fs::path root_ = temporary_.path();
 };
@@ -89,15 +101,14 @@ TEST_F(TrainProgram, TokensLearnFromVertexFeatures) {
 }
 
 TEST_F(TrainProgram, KilledAndResumedTrainingHasTheSameCurve) {
-  ASSERT_EQ(shell("$TRAIN --set output=whole"), 0) << said();
-  // The process is killed when it has written the rows of two epochs.
-  const int killed = shell(
-      "$TRAIN --set output=parts & "
-      "while [ $(cat parts/log.csv 2>/dev/null | wc -l) -lt 3 ]; do sleep 0.02; done; kill -9 $!; wait $!");
+  // The process is killed when it has written the rows of two epochs; it can't end before.
+  const int killed =
+      shell("$TRAIN --set output=parts" + endless + " & " + wait_for_rows("parts", 2) + "kill -9 $!; wait $!");
   EXPECT_EQ(killed, 128 + SIGKILL) << said();
-  EXPECT_LT(rows("parts").size(), rows("whole").size());
-  ASSERT_EQ(shell("$TRAIN --set output=parts"), 0) << said();
+  const std::string two_more = epochs_after("parts", 2);
+  ASSERT_EQ(shell("$TRAIN --set output=parts" + two_more), 0) << said();
   EXPECT_THAT(said(), HasSubstr("resumed at epoch"));
+  ASSERT_EQ(shell("$TRAIN --set output=whole" + two_more), 0) << said();
   EXPECT_EQ(rows("parts"), rows("whole"));
 }
 
@@ -131,19 +142,16 @@ int free_port() {
 
 // As on several machines, each of which has one process: started by somebody else, and one of them lost.
 TEST_F(TrainProgram, ProcessesThatMeetAtAnAddressGoOnAfterOneIsLost) {
-  ASSERT_EQ(shell("$TRAIN --set output=one"), 0) << said();
-  const auto both = [](const std::string& between) {
+  const auto both = [](const std::string& settings, const std::string& between) {
     const std::string train =
-        "$TRAIN --set output=two --processes 2 --rendezvous 127.0.0.1:" + std::to_string(free_port());
+        "$TRAIN --set output=two" + settings + " --processes 2 --rendezvous 127.0.0.1:" + std::to_string(free_port());
     return train + " --rank 1 & second=$!; " + train + " --rank 0 & first=$!; " + between + " wait $first";
   };
-  EXPECT_EQ(shell(both("while [ $(cat two/log.csv 2>/dev/null | wc -l) -lt 2 ]; do sleep 0.02; done; "
-                       "kill -9 $second;")),
-            75)
-      << said();
+  EXPECT_EQ(shell(both(endless, wait_for_rows("two", 1) + "kill -9 $second;")), 75) << said();
   EXPECT_THAT(said(), HasSubstr("a training process is gone"));
-  EXPECT_LT(rows("two").size(), rows("one").size());
-  ASSERT_EQ(shell(both("")), 0) << said();
+  const std::string two_more = epochs_after("two", 2);
+  ASSERT_EQ(shell(both(two_more, "")), 0) << said();
+  ASSERT_EQ(shell("$TRAIN --set output=one" + two_more), 0) << said();
   const auto one = rows("one"), two = rows("two");
   ASSERT_EQ(one.size(), two.size());
   for (std::size_t i = 0; i < one.size(); ++i) {
@@ -151,15 +159,13 @@ TEST_F(TrainProgram, ProcessesThatMeetAtAnAddressGoOnAfterOneIsLost) {
       EXPECT_NEAR(two[i][k], one[i][k], 1e-4 * std::abs(one[i][k])) << "row " << i << ", column " << k;
     }
   }
-  EXPECT_EQ(shell(both("while [ $(cat two/log.csv | wc -l) -lt 2 ]; do sleep 0.02; done;") + "; wait $second"), 0)
-      << "what is done stays done";
+  EXPECT_EQ(shell(both(two_more, "") + "; wait $second"), 0) << "what is done stays done";
 }
 
 TEST_F(TrainProgram, ASignalToAllProcessesOfADistributedTrainingEndsItAtACheckpoint) {
   const std::string train =
-      "$TRAIN --set output=two --processes 2 --rendezvous 127.0.0.1:" + std::to_string(free_port());
-  EXPECT_EQ(shell(train + " --rank 1 & second=$!; " + train +
-                  " --rank 0 & first=$!; while [ $(cat two/log.csv 2>/dev/null | wc -l) -lt 2 ]; do sleep 0.02; done; "
+      "$TRAIN --set output=two" + endless + " --processes 2 --rendezvous 127.0.0.1:" + std::to_string(free_port());
+  EXPECT_EQ(shell(train + " --rank 1 & second=$!; " + train + " --rank 0 & first=$!; " + wait_for_rows("two", 1) +
                   "kill $first $second; wait $first; code=$?; wait $second && exit $code"),
             75)
       << said();
