@@ -33,10 +33,10 @@ std::vector<v1::Detail> chosen_details(const EvalOptions& options) {
 
 }  // namespace
 
-std::vector<evaluation::MethodFigures> evaluate(const EvalOptions& options) {
+std::vector<evaluation::GarmentFigures> evaluate(const EvalOptions& options) {
   const std::vector<v1::Detail> details = chosen_details(options);
   const DatasetReader dataset(options.dataset);
-  std::vector<evaluation::Method> methods{evaluation::barycentric_method(dataset.topology())};
+  std::vector<evaluation::Method> methods{evaluation::barycentric_method()};
   if (options.baselines) methods.push_back(evaluation::zurdo_method(dataset));
   std::optional<Launcher> launcher;
   if (!details.empty()) {
@@ -72,8 +72,8 @@ std::vector<evaluation::MethodFigures> evaluate(const EvalOptions& options) {
     client->wait_ready(std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
     for (const v1::Detail detail : details) {
       const auto add = [&](const std::string& model) {
-        methods.push_back(evaluation::session_method(
-            client, dataset.topology(), {.model = model, .detail = detail, .refine = !options.skip_refinement}));
+        methods.push_back(
+            evaluation::session_method(client, {.model = model, .detail = detail, .refine = !options.skip_refinement}));
       };
       if (!uses_network(detail)) add("");
       for (const std::string& name : names)
@@ -82,7 +82,7 @@ std::vector<evaluation::MethodFigures> evaluate(const EvalOptions& options) {
   }
   std::optional<Progress> progress;
   auto figures =
-      evaluation::evaluate(dataset, methods, options.evaluation, [&](std::uint64_t done, std::uint64_t total) {
+      evaluation::evaluate_garments(dataset, methods, options.evaluation, [&](std::uint64_t done, std::uint64_t total) {
         if (!progress) progress.emplace("frames", total);
         progress->update(done);
       });
@@ -95,7 +95,7 @@ namespace {
 int evaluate_command(const EvalOptions& options, bool json) {
   const auto figures = evaluate(options);
   if (json)
-    std::printf("%s\n", to_json(figures).dump(2).c_str());
+    std::printf("%s\n", evaluation::to_json(figures).dump(2).c_str());
   else
     std::printf("%s", evaluation::to_table(figures).c_str());
   return kExitDone;
@@ -120,7 +120,7 @@ std::vector<Command> add_eval(CLI::App& root) {
                 "also wrinkles by example (Zurdo et al. 2013) from the data set's training split");
   app->add_flag("--skip-refinement", options->skip_refinement, "the meshes as networks and fold step make them");
   const auto json = std::make_shared<bool>(false);
-  add_json_option(*app, *json, "print one JSON object: method -> metric -> value");
+  add_json_option(*app, *json, "print one JSON object: method -> metric -> value; of several garments a list of these");
   app->add_option("--logs", options->logs,
                   "folder for the services' logs (default: out/eval in a build, else $XDG_STATE_HOME/pleat/eval)");
   app->add_option("--coordinator", options->coordinator,

@@ -22,6 +22,6 @@ struct EvalOptions {
 /// Barycentric upsampling, then what the options ask for, with services of its own unless a coordinator is named, and
 /// with progress. From the main thread. Throws what launcher, client and evaluation throw, kInvalidArgument for options
 /// that contradict each other.
-std::vector<evaluation::MethodFigures> evaluate(const EvalOptions& options);
+std::vector<evaluation::GarmentFigures> evaluate(const EvalOptions& options);
 
 }  // namespace pleat::cli

@@ -307,7 +307,7 @@ class Learning {
     eval.details = {"network"};
     if (base_.empty()) eval.details.insert(eval.details.begin(), "fold");
     eval.evaluation.frames = judged_frames(2 + eval.models.size());
-    figures_ = evaluate(eval);
+    figures_ = std::move(evaluate(eval).front().methods);  // its scenes have one garment
   }
 
   std::uint64_t judged_frames(std::size_t methods) const {

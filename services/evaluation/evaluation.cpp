@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdio>
+#include <map>
 #include <memory>
 #include <optional>
 
@@ -34,12 +36,6 @@ std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const s
     if (chosen.empty()) chosen = all;
   }
   if (chosen.empty()) throw_not_found(dataset.folder().string() + ": no sequence with frames");
-  const std::string hash = topology_hash(dataset.topology().fine);
-  for (const SequenceInfo& info : chosen) {
-    if (info.topology_hash == hash) continue;
-    throw_invalid_argument(dataset.folder().string() + ": sequence " + info.name +
-                           " has meshes of its own; figures are of sequences of one mesh");
-  }
   return chosen;
 }
 
@@ -49,11 +45,12 @@ SubdivisionSpec subdivision_of(const MeshPair& topology) {
   return *spec;
 }
 
-Method barycentric_method(const MeshPair& topology) {
-  const auto subdivision = std::make_shared<Subdivision>(subdivide(topology.coarse, subdivision_of(topology)));
-  return {kUpsamplingMethod, [subdivision, faces = topology.coarse.faces](const MethodInput& input, const auto& sink) {
+Method barycentric_method() {
+  return {kUpsamplingMethod, [](const MethodInput& input, const auto& sink) {
+            const Topology& coarse = input.meshes->coarse;
+            const Subdivision subdivision = subdivide(coarse, subdivision_of(*input.meshes));
             for (std::uint64_t k = 0; k < input.frames; ++k)
-              sink(k, MethodFrame{upsample(*subdivision, faces, input.coarse(k)), {}});
+              sink(k, MethodFrame{upsample(subdivision, coarse.faces, input.coarse(k)), {}});
           }};
 }
 
@@ -71,61 +68,105 @@ Method zurdo_method(const DatasetReader& dataset) {
           }};
 }
 
+namespace {
+
+/// Sequences by their meshes, in the order of the first of each.
+struct Garment {
+  std::shared_ptr<const MeshPair> meshes;
+  bool own = false;  ///< not the data set's
+  std::vector<SequenceInfo> sequences;
+};
+
+std::vector<Garment> garments_of(const DatasetReader& dataset, std::vector<SequenceInfo> sequences) {
+  std::vector<Garment> garments;
+  std::map<std::string, std::size_t> known;
+  const std::string hash = topology_hash(dataset.topology().fine);
+  for (SequenceInfo& info : sequences) {
+    const auto [at, is_new] = known.try_emplace(info.topology_hash, garments.size());
+    if (is_new) garments.push_back({dataset.meshes(info.name), info.topology_hash != hash, {}});
+    garments[at->second].sequences.push_back(std::move(info));
+  }
+  return garments;
+}
+
+std::uint64_t frames_of(const EvaluationOptions& options, const SequenceInfo& info) {
+  return options.frames > 0 ? std::min(options.frames, info.frames_complete) : info.frames_complete;
+}
+
+MethodFigures run_method(const DatasetReader& dataset, const Method& method, const Garment& garment,
+                         const EvaluationOptions& options, const std::function<void()>& frame_done) {
+  const MeshPair& meshes = *garment.meshes;
+  const std::uint64_t every = std::max<std::uint64_t>(1, options.every);
+  MetricsAccumulator metrics(meshes.coarse, meshes.fine, meshes.feature_vertices,
+                             garment.own ? std::nullopt : dataset.master().normalization);
+  std::vector<std::pair<std::string, std::vector<double>>> times;
+  for (const SequenceInfo& info : garment.sequences) {
+    metrics.begin_sequence();
+    MethodInput input;
+    input.sequence = info.name;
+    input.meshes = garment.meshes;
+    input.frames = frames_of(options, info);
+    input.frame_time_s = dataset.master().frame_time_s;
+    input.scene = info.scene;
+    input.material = dataset.master().material;
+    input.obstacle_shapes = info.obstacles;
+    input.coarse = [&](std::uint64_t k) { return std::move(dataset.coarse(info.name, k, k + 1).at(0)); };
+    input.obstacles = [&](std::uint64_t k) { return std::move(dataset.obstacles(info.name, k, k + 1).at(0)); };
+    method.run(input, [&](std::uint64_t k, const MethodFrame& frame) {
+      for (const auto& [stage, ms] : frame.ms) {
+        const auto found =
+            std::find_if(times.begin(), times.end(), [&, &name = stage](const auto& t) { return t.first == name; });
+        if (found == times.end())
+          times.push_back({stage, {ms}});
+        else
+          found->second.push_back(ms);
+      }
+      frame_done();
+      if (k % every != 0) return;
+      const Positions reference = std::move(dataset.fine(info.name, k, k + 1).at(0));
+      const auto obstacles = input.obstacles(k);
+      FrameCounts counts;
+      counts.penetrations =
+          refinement::count_penetrations(frame.positions, meshes.fine.faces, info.obstacles, obstacles);
+      counts.self_intersections = refinement::count_self_intersections(frame.positions, meshes.fine.faces);
+      counts.penetrations_before = frame.refined ? frame.penetrations_before : counts.penetrations;
+      counts.self_intersections_before = frame.refined ? frame.self_intersections_before : counts.self_intersections;
+      metrics.add(input.coarse(k), reference, frame.positions, counts);
+    });
+  }
+  MethodFigures result{method.name, metrics.values(), {}};
+  for (auto& [stage, ms] : times) result.median_ms.emplace_back(stage, median(std::move(ms)));
+  return result;
+}
+
+}  // namespace
+
+std::vector<GarmentFigures> evaluate_garments(const DatasetReader& dataset, const std::vector<Method>& methods,
+                                              const EvaluationOptions& options,
+                                              const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
+  const std::vector<SequenceInfo> sequences = chosen_sequences(dataset, options.sequences);
+  std::uint64_t total = 0, done = 0;
+  for (const SequenceInfo& info : sequences) total += frames_of(options, info) * methods.size();
+  std::vector<GarmentFigures> all;
+  for (const Garment& garment : garments_of(dataset, sequences)) {
+    GarmentFigures& figures = all.emplace_back();
+    figures.meshes = garment.meshes;
+    for (const SequenceInfo& info : garment.sequences) figures.sequences.push_back(info.name);
+    for (const Method& method : methods)
+      figures.methods.push_back(run_method(dataset, method, garment, options, [&] { progress(++done, total); }));
+  }
+  return all;
+}
+
 std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vector<Method>& methods,
                                     const EvaluationOptions& options,
                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
-  const std::vector<SequenceInfo> sequences = chosen_sequences(dataset, options.sequences);
-  const MeshPair& topology = dataset.topology();
-  const std::optional<ChannelRanges>& range = dataset.master().normalization;
-  const auto frames_of = [&options](const SequenceInfo& info) {
-    return options.frames > 0 ? std::min(options.frames, info.frames_complete) : info.frames_complete;
-  };
-  std::uint64_t total = 0, done = 0;
-  for (const SequenceInfo& info : sequences) total += frames_of(info) * methods.size();
-  const std::uint64_t every = std::max<std::uint64_t>(1, options.every);
-
-  std::vector<MethodFigures> figures;
-  for (const Method& method : methods) {
-    MetricsAccumulator metrics(topology.coarse, topology.fine, topology.feature_vertices, range);
-    std::vector<std::pair<std::string, std::vector<double>>> times;
-    for (const SequenceInfo& info : sequences) {
-      metrics.begin_sequence();
-      MethodInput input;
-      input.sequence = info.name;
-      input.frames = frames_of(info);
-      input.frame_time_s = dataset.master().frame_time_s;
-      input.scene = info.scene;
-      input.material = dataset.master().material;
-      input.obstacle_shapes = info.obstacles;
-      input.coarse = [&](std::uint64_t k) { return std::move(dataset.coarse(info.name, k, k + 1).at(0)); };
-      input.obstacles = [&](std::uint64_t k) { return std::move(dataset.obstacles(info.name, k, k + 1).at(0)); };
-      method.run(input, [&](std::uint64_t k, const MethodFrame& frame) {
-        for (const auto& [stage, ms] : frame.ms) {
-          const auto found =
-              std::find_if(times.begin(), times.end(), [&, &name = stage](const auto& t) { return t.first == name; });
-          if (found == times.end())
-            times.push_back({stage, {ms}});
-          else
-            found->second.push_back(ms);
-        }
-        progress(++done, total);
-        if (k % every != 0) return;
-        const Positions reference = std::move(dataset.fine(info.name, k, k + 1).at(0));
-        const auto obstacles = input.obstacles(k);
-        FrameCounts counts;
-        counts.penetrations =
-            refinement::count_penetrations(frame.positions, topology.fine.faces, info.obstacles, obstacles);
-        counts.self_intersections = refinement::count_self_intersections(frame.positions, topology.fine.faces);
-        counts.penetrations_before = frame.refined ? frame.penetrations_before : counts.penetrations;
-        counts.self_intersections_before = frame.refined ? frame.self_intersections_before : counts.self_intersections;
-        metrics.add(input.coarse(k), reference, frame.positions, counts);
-      });
-    }
-    MethodFigures result{method.name, metrics.values(), {}};
-    for (auto& [stage, ms] : times) result.median_ms.emplace_back(stage, median(std::move(ms)));
-    figures.push_back(std::move(result));
+  const auto garments = garments_of(dataset, chosen_sequences(dataset, options.sequences));
+  if (garments.size() > 1) {
+    throw_invalid_argument(dataset.folder().string() + ": sequences " + garments[0].sequences[0].name + " and " +
+                           garments[1].sequences[0].name + " have different meshes; these figures are of one");
   }
-  return figures;
+  return std::move(evaluate_garments(dataset, methods, options, progress).front().methods);
 }
 
 namespace {
@@ -138,7 +179,67 @@ std::optional<double> reference_detail(const std::vector<MethodFigures>& figures
   return found->metrics.rmse_m;
 }
 
+const MethodFigures* figures_of(const GarmentFigures& garment, const std::string& method) {
+  const auto found = std::find_if(garment.methods.begin(), garment.methods.end(),
+                                  [&](const MethodFigures& figures) { return figures.name == method; });
+  return found == garment.methods.end() ? nullptr : &*found;
+}
+
+/// A method's gains over upsampling on several garments.
+struct Gains {
+  std::string method;
+  std::vector<std::optional<double>> db;  ///< per garment
+  std::optional<double> mean;             ///< over those that have one
+  std::size_t least = 0;                  ///< the garment with the least, where there is a mean
+};
+
+std::vector<Gains> gains_of(const std::vector<GarmentFigures>& garments) {
+  std::vector<Gains> all;
+  for (const MethodFigures& method : garments.front().methods) {
+    if (method.name == kUpsamplingMethod) continue;
+    Gains& gains = all.emplace_back();
+    gains.method = method.name;
+    double sum = 0;
+    std::size_t count = 0;
+    for (std::size_t i = 0; i < garments.size(); ++i) {
+      const auto db = gains.db.emplace_back(gain_db(garments[i], method.name));
+      if (!db) continue;
+      if (count == 0 || *db < *gains.db[gains.least]) gains.least = i;
+      sum += *db;
+      ++count;
+    }
+    if (count > 0) gains.mean = sum / static_cast<double>(count);
+  }
+  return all;
+}
+
 }  // namespace
+
+std::optional<double> gain_db(const GarmentFigures& garment, const std::string& method) {
+  const MethodFigures *upsampling = figures_of(garment, kUpsamplingMethod), *other = figures_of(garment, method);
+  if (upsampling == nullptr || other == nullptr) return std::nullopt;
+  const double before = upsampling->metrics.vmse_m2, after = other->metrics.vmse_m2;
+  if (before <= 0 || after <= 0) return std::nullopt;
+  return 10 * std::log10(before / after);
+}
+
+nlohmann::json to_json(const std::vector<GarmentFigures>& garments) {
+  if (garments.size() == 1) return to_json(garments.front().methods);
+  nlohmann::json json = {{"garments", nlohmann::json::array()}, {"gain_db", nlohmann::json::object()}};
+  for (const GarmentFigures& garment : garments) {
+    json["garments"].push_back({{"sequences", garment.sequences},
+                                {"coarse_vertices", garment.meshes->coarse.vertex_count()},
+                                {"fine_vertices", garment.meshes->fine.vertex_count()},
+                                {"methods", to_json(garment.methods)}});
+  }
+  for (const Gains& gains : gains_of(garments)) {
+    if (!gains.mean) continue;
+    json["gain_db"][gains.method] = {{"mean", *gains.mean},
+                                     {"least", *gains.db[gains.least]},
+                                     {"least_of", garments[gains.least].sequences.front()}};
+  }
+  return json;
+}
 
 nlohmann::json to_json(const std::vector<MethodFigures>& figures) {
   nlohmann::json json = nlohmann::json::object();
@@ -221,6 +322,27 @@ std::string to_table(const std::vector<MethodFigures>& figures) {
       table += line;
     }
     table += "\n";
+  }
+  return table;
+}
+
+std::string to_table(const std::vector<GarmentFigures>& garments) {
+  if (garments.size() == 1) return to_table(garments.front().methods);
+  std::string table;
+  char line[320];
+  for (const GarmentFigures& garment : garments) {
+    std::snprintf(
+        line, sizeof line, "%s%s, %td > %td vertices\n", garment.sequences.front().c_str(),
+        garment.sequences.size() > 1 ? (" and " + std::to_string(garment.sequences.size() - 1) + " more").c_str() : "",
+        garment.meshes->coarse.vertex_count(), garment.meshes->fine.vertex_count());
+    table += line + to_table(garment.methods) + "\n";
+  }
+  table += "gain over upsampling in VMSE, dB: mean and least over the garments\n";
+  for (const Gains& gains : gains_of(garments)) {
+    if (!gains.mean) continue;
+    std::snprintf(line, sizeof line, "%-24s %8.2f %8.2f (%s)\n", gains.method.c_str(), *gains.mean,
+                  *gains.db[gains.least], garments[gains.least].sequences.front().c_str());
+    table += line;
   }
   return table;
 }

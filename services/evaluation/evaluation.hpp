@@ -3,7 +3,9 @@
 
 #include <functional>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -24,6 +26,7 @@ struct MethodFrame {
 /// What a method gets: the coarse frames of one sequence with their obstacles.
 struct MethodInput {
   std::string sequence;
+  std::shared_ptr<const MeshPair> meshes;
   std::uint64_t frames = 0;
   double frame_time_s = 0;
   std::string scene;     ///< JSON of the sequence, as the data set has it
@@ -53,13 +56,19 @@ struct EvaluationOptions {
   std::uint64_t every = 1;
 };
 
-/// The sequences with frames that are named, or those of the split "test", or all if there are none. Throws kNotFound;
-/// kInvalidArgument for one of other meshes than the data set's.
+/// What methods have on one garment: all sequences of one pair of meshes.
+struct GarmentFigures {
+  std::vector<std::string> sequences;
+  std::shared_ptr<const MeshPair> meshes;
+  std::vector<MethodFigures> methods;
+};
+
+/// The sequences with frames that are named, or those of the split "test", or all if there are none. Throws kNotFound.
 std::vector<SequenceInfo> chosen_sequences(const DatasetReader& dataset, const std::vector<std::string>& names);
 
-/// Barycentric upsampling of the coarse frames. Throws kInvalidArgument if the data set's fine mesh is not the
-/// subdivision of its coarse mesh.
-Method barycentric_method(const MeshPair& topology);
+/// Barycentric upsampling of the coarse frames. Runs throw kInvalidArgument where the fine mesh is not the subdivision
+/// of the coarse mesh.
+Method barycentric_method();
 
 /// Wrinkles by example, from the data set's training split (services/superres/zurdo.hpp), without refinement, which the
 /// method does not have.
@@ -68,17 +77,31 @@ Method zurdo_method(const DatasetReader& dataset);
 /// How the fine mesh comes from the coarse one; kInvalidArgument if it is no subdivision.
 SubdivisionSpec subdivision_of(const MeshPair& topology);
 
-/// Runs every method on every sequence. Penetrations and self-intersections are counted by the judge of
+/// Runs every method on every sequence, garment by garment in the order of their first sequences. PSNR is of the data
+/// set's own garment alone, whose ranges it has. Penetrations and self-intersections are counted by the judge of
 /// services/refinement on what the method gave, whatever it reports itself; only the counts before refinement are the
 /// method's own. `progress` gets the frames done of all.
 /// Throws kNotFound (an unknown sequence, or none), and what methods throw.
+std::vector<GarmentFigures> evaluate_garments(const DatasetReader& dataset, const std::vector<Method>& methods,
+                                              const EvaluationOptions& options,
+                                              const std::function<void(std::uint64_t, std::uint64_t)>& progress);
+
+/// The same where all sequences have the same meshes; kInvalidArgument where they have not.
 std::vector<MethodFigures> evaluate(const DatasetReader& dataset, const std::vector<Method>& methods,
                                     const EvaluationOptions& options,
                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress);
 
+/// 10 log10 of upsampling's VMSE over the method's, decibels; absent without upsampling among the methods, or where
+/// either error is 0.
+std::optional<double> gain_db(const GarmentFigures& garment, const std::string& method);
+
 /// method -> metric -> value; a PSNR that does not exist is null.
 nlohmann::json to_json(const std::vector<MethodFigures>& figures);
-/// A table for people.
+/// Of one garment as above. Of several: "garments", a list of objects (sequences, coarse_vertices, fine_vertices,
+/// methods as above), and "gain_db": method -> mean, least and least_of, the first sequence of the garment that has it.
+nlohmann::json to_json(const std::vector<GarmentFigures>& garments);
+/// A table for people; of several garments one each, and one of the gains.
 std::string to_table(const std::vector<MethodFigures>& figures);
+std::string to_table(const std::vector<GarmentFigures>& garments);
 
 }  // namespace pleat::evaluation

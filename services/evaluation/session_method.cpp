@@ -34,11 +34,10 @@ std::string method_name(const SessionMethodOptions& options) {
 
 }  // namespace
 
-Method session_method(std::shared_ptr<const client::Client> client, const MeshPair& topology,
-                      const SessionMethodOptions& options) {
-  const int rounds = subdivision_of(topology).rounds;
+Method session_method(std::shared_ptr<const client::Client> client, const SessionMethodOptions& options) {
   return {method_name(options), [=, client = std::move(client)](const MethodInput& input, const auto& sink) {
-            client::EnhanceOptions open{.coarse = client::from_topology(topology.coarse),
+            const int rounds = subdivision_of(*input.meshes).rounds;
+            client::EnhanceOptions open{.coarse = client::from_topology(input.meshes->coarse),
                                         .model = options.model,
                                         .frame_time_s = input.frame_time_s,
                                         .obstacles = client::from_shapes(input.obstacle_shapes),

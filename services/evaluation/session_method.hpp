@@ -19,7 +19,6 @@ struct SessionMethodOptions {
 /// errors: a mesh that is far off intersects itself and goes back to the upsampled coarse one. The fold step gets
 /// material, held vertices and wind of the sequence's scene. Throws what the session throws, a frame's error, and
 /// kDataLoss for a scene that is none.
-Method session_method(std::shared_ptr<const client::Client> client, const MeshPair& topology,
-                      const SessionMethodOptions& options);
+Method session_method(std::shared_ptr<const client::Client> client, const SessionMethodOptions& options);
 
 }  // namespace pleat::evaluation

@@ -96,7 +96,7 @@ Benchmark measure(const TablesOptions& options, Request request, const TablesPro
   fs::create_directories(options.out);
   const ScratchFolder models(options.out, ".pleat-models");
   const std::vector<Wanted> bundles = collect(options, asked, models.path());
-  std::vector<Method> methods{barycentric_method(dataset.topology())};
+  std::vector<Method> methods{barycentric_method()};
   if (has_examples(dataset)) methods.push_back(zurdo_method(dataset));
   if (!asked.tracked.empty() && fs::exists(asked.tracked / "dataset.h5")) {
     if (const DatasetReader tracked(asked.tracked); has_examples(tracked)) {
@@ -114,7 +114,7 @@ Benchmark measure(const TablesOptions& options, Request request, const TablesPro
     launcher.emplace(launch);
     const auto client = std::make_shared<client::Client>(launcher->coordinator());
     for (const Wanted& bundle : bundles) {
-      Method method = session_method(client, dataset.topology(), {.model = bundle.name, .refine = bundle.refined});
+      Method method = session_method(client, {.model = bundle.name, .refine = bundle.refined});
       method.name = bundle.name;
       methods.push_back(method);
     }

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <memory>
 #include <string>
 
 #include "common/mesh/subdivision.hpp"
@@ -42,43 +43,61 @@ inline Topology sheet() {
 class EvaluationDataset : public testing::Test {
  protected:
   void SetUp() override {
-    const Topology coarse = sheet();
-    const Subdivision subdivision = subdivide(coarse, 2);
-    DatasetMaster master;
-    master.time_step_s = 0.005;
-    master.frame_time_s = 0.04;
-    master.topology = {coarse, subdivision.fine, subdivision.feature_vertices};
-    master.sequences = {"learn", "fall"};
-    master.normalization = ChannelRanges{std::vector<float>(9, -1), std::vector<float>(9, 2)};
-    write_dataset_master(folder_, master);
-    for (const std::string sequence : {"learn", "fall"}) {
-      SequenceOptions options;
-      options.name = sequence;
-      options.scene =
-          R"({"handles": [{"vertices": [0, 1, 2, 3, 4, 5, 6, 7]}, {"vertices": [8, 9, 10, 11, 12, 13, 14, 15]}]})";
-      options.split = sequence == "fall" ? "test" : "train";
-      options.frames = 2;
-      options.coarse_vertices = coarse.vertex_count();
-      options.fine_vertices = subdivision.fine.vertex_count();
-      options.topology_hash = topology_hash(subdivision.fine);
-      options.obstacles = {{"ball", {}}};
-      options.obstacle_vertices = {0};
-      SequenceWriter writer(folder_, options);
-      for (int k = 0; k < 2; ++k) {
-        SequenceFrame frame;
-        frame.time_s = 0.04 * k;
-        frame.coarse = coarse.rest_positions;
-        frame.fine = subdivision.fine.rest_positions;
-        frame.fine.col(1).array() += kOffset;
-        frame.obstacles.resize(1);
-        frame.obstacles[0].name = "ball";
-        frame.obstacles[0].center = {0.5f, -0.1f, -0.5f};
-        frame.obstacles[0].radius = 0.11f;  // reaches 1 cm through the coarse sheet, and stays below the fine one
-        writer.append(frame);
-      }
-      writer.finish();
-    }
+    master_.time_step_s = 0.005;
+    master_.frame_time_s = 0.04;
+    master_.topology = pair_of(sheet());
+    master_.sequences = {"learn", "fall"};
+    master_.normalization = ChannelRanges{std::vector<float>(9, -1), std::vector<float>(9, 2)};
+    write_dataset_master(folder_, master_);
+    write_sequence("learn", "train", master_.topology, kOffset);
+    write_sequence("fall", "test", master_.topology, kOffset);
   }
+
+  static MeshPair pair_of(const Topology& coarse) {
+    const Subdivision subdivision = subdivide(coarse, 2);
+    return {coarse, subdivision.fine, subdivision.feature_vertices};
+  }
+
+  /// A test sequence of a garment of its own, twice as wide: the fine cloth lies 2 kOffset above the coarse one.
+  void add_garment() {
+    Topology wide = sheet();
+    wide.rest_positions.col(0) *= 2;
+    master_.sequences.push_back("wide");
+    write_dataset_master(folder_, master_);
+    write_sequence("wide", "test", pair_of(wide), 2 * kOffset, true);
+  }
+
+  void write_sequence(const std::string& name, const std::string& split, const MeshPair& meshes, float offset,
+                      bool own = false) {
+    SequenceOptions options;
+    options.name = name;
+    options.scene =
+        R"({"handles": [{"vertices": [0, 1, 2, 3, 4, 5, 6, 7]}, {"vertices": [8, 9, 10, 11, 12, 13, 14, 15]}]})";
+    options.split = split;
+    options.frames = 2;
+    options.coarse_vertices = meshes.coarse.vertex_count();
+    options.fine_vertices = meshes.fine.vertex_count();
+    options.topology_hash = topology_hash(meshes.fine);
+    if (own) options.meshes = std::make_shared<MeshPair>(meshes);
+    options.obstacles = {{"ball", {}}};
+    options.obstacle_vertices = {0};
+    SequenceWriter writer(folder_, options);
+    for (int k = 0; k < 2; ++k) {
+      SequenceFrame frame;
+      frame.time_s = 0.04 * k;
+      frame.coarse = meshes.coarse.rest_positions;
+      frame.fine = meshes.fine.rest_positions;
+      frame.fine.col(1).array() += offset;
+      frame.obstacles.resize(1);
+      frame.obstacles[0].name = "ball";
+      frame.obstacles[0].center = {0.5f, -0.1f, -0.5f};
+      frame.obstacles[0].radius = 0.11f;  // reaches 1 cm through the coarse sheet, and stays below the fine one
+      writer.append(frame);
+    }
+    writer.finish();
+  }
+
+  DatasetMaster master_;
   const pleat::test::TemporaryFolder temporary_;
   const std::filesystem::path folder_ = temporary_.path();
 };

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "common/base/error.hpp"
 #include "common/base/statistics.hpp"
 #include "tests/support/executable.hpp"
@@ -18,12 +20,11 @@ using Evaluation = test::EvaluationDataset;
 TEST_F(Evaluation, OfTheBaselineOnTheTestSplit) {
   const DatasetReader dataset(folder_);
   std::uint64_t last = 0, total = 0;
-  const auto figures =
-      evaluate(dataset, {barycentric_method(dataset.topology())}, {}, [&](std::uint64_t done, std::uint64_t of) {
-        EXPECT_EQ(done, last + 1);
-        last = done;
-        total = of;
-      });
+  const auto figures = evaluate(dataset, {barycentric_method()}, {}, [&](std::uint64_t done, std::uint64_t of) {
+    EXPECT_EQ(done, last + 1);
+    last = done;
+    total = of;
+  });
   ASSERT_EQ(figures.size(), 1u);
   const MetricValues& values = figures[0].metrics;
   EXPECT_EQ(figures[0].name, "barycentric");
@@ -62,14 +63,14 @@ TEST_F(Evaluation, OfAMethodWithoutErrorHasNoPsnrAndItsTimes) {
 
 TEST_F(Evaluation, TakesTheFirstFramesOnly) {
   const DatasetReader dataset(folder_);
-  const auto figures = evaluate(dataset, {barycentric_method(dataset.topology())}, {{}, 1}, [](auto, auto) {});
+  const auto figures = evaluate(dataset, {barycentric_method()}, {{}, 1}, [](auto, auto) {});
   EXPECT_EQ(figures[0].metrics.frames, 1u);
 }
 
 TEST_F(Evaluation, NamesAnUnknownSequence) {
   const DatasetReader dataset(folder_);
   try {
-    evaluate(dataset, {barycentric_method(dataset.topology())}, {{"jump"}, 0}, [](auto, auto) {});
+    evaluate(dataset, {barycentric_method()}, {{"jump"}, 0}, [](auto, auto) {});
     ADD_FAILURE() << "accepted";
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), ErrorCode::kNotFound);
@@ -116,6 +117,56 @@ TEST_F(Evaluation, CountsBeforeRefinementAreTheMethodsOwn) {
   EXPECT_EQ(values.counts.penetrations, 0u);
   EXPECT_EQ(values.counts.self_intersections_before, 18u);
   EXPECT_EQ(values.counts.self_intersections, 0u);
+}
+
+TEST_F(Evaluation, OfSeveralGarmentsIsEachOnItsOwnMeshes) {
+  add_garment();
+  const DatasetReader dataset(folder_);
+  const Method half_way{"half", [](const MethodInput& input, const auto& sink) {
+                          const float offset = input.sequence == "wide" ? 0.03f : 0.01f;  // a quarter, a half lacks
+                          for (std::uint64_t k = 0; k < input.frames; ++k) {
+                            MethodFrame frame{input.meshes->fine.rest_positions, {}};
+                            frame.positions.col(1).array() += offset;
+                            sink(k, frame);
+                          }
+                        }};
+  const auto garments = evaluate_garments(dataset, {barycentric_method(), half_way}, {}, [](auto, auto) {});
+  ASSERT_EQ(garments.size(), 2u);
+  EXPECT_EQ(garments[0].sequences, std::vector<std::string>{"fall"});
+  EXPECT_EQ(garments[1].sequences, std::vector<std::string>{"wide"});
+  EXPECT_NEAR(garments[0].methods[0].metrics.rmse_m, kOffset, 1e-6);
+  EXPECT_NEAR(garments[1].methods[0].metrics.rmse_m, 2 * kOffset, 1e-6);
+  EXPECT_TRUE(garments[0].methods[0].metrics.psnr_db.has_value());
+  EXPECT_FALSE(garments[1].methods[0].metrics.psnr_db.has_value()) << "the ranges are of the other garment";
+  EXPECT_NEAR(gain_db(garments[0], "half").value(), 20 * std::log10(2), 1e-3);
+  EXPECT_NEAR(gain_db(garments[1], "half").value(), 20 * std::log10(4), 1e-3);
+  EXPECT_FALSE(gain_db(garments[1], "other").has_value());
+
+  const nlohmann::json json = to_json(garments);
+  EXPECT_EQ(json.at("garments").size(), 2u);
+  EXPECT_NEAR(json.at("garments")[1].at("methods").at("half").at("rmse_m").get<double>(), 0.01, 1e-6);
+  EXPECT_NEAR(json.at("gain_db").at("half").at("mean").get<double>(), 30 * std::log10(2), 1e-3);
+  EXPECT_EQ(json.at("gain_db").at("half").at("least_of"), "fall");
+  EXPECT_THAT(to_table(garments), testing::HasSubstr("6.02 (fall)"));
+
+  try {
+    evaluate(dataset, {barycentric_method()}, {}, [](auto, auto) {});
+    ADD_FAILURE() << "one row of figures for two garments";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kInvalidArgument);
+    EXPECT_THAT(error.what(), testing::HasSubstr("fall and wide"));
+  }
+}
+
+TEST_F(Evaluation, AsACommandServesSeveralGarments) {
+  add_garment();
+  const test::Outcome outcome = test::run(
+      test::built("pleat"), {"eval", "--dataset", folder_.string(), "--detail", "fold", "--json"}, folder_ / "outcome");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
+  const nlohmann::json json = nlohmann::json::parse(outcome.out);
+  ASSERT_EQ(json.at("garments").size(), 2u);
+  for (const nlohmann::json& garment : json["garments"]) EXPECT_EQ(garment.at("methods").at("fold").at("frames"), 2);
+  EXPECT_TRUE(json.at("gain_db").contains("fold"));
 }
 
 }  // namespace
