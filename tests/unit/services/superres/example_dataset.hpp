@@ -59,9 +59,11 @@ inline DatasetMaster example_master() {
   return master;
 }
 
-/// Sequence `name`; recorded: frames that are written, kFrames to finish it. own: the file holds the meshes.
+/// Sequence `name`; recorded: frames that are written, kFrames to finish it. own: the file holds the meshes. parted:
+/// how far the fine cloth is moved away, metres.
 inline void write_sequence(const std::filesystem::path& folder, const DatasetMaster& master, const std::string& name,
-                           const std::string& split, int phase, int recorded = kFrames, bool own = false) {
+                           const std::string& split, int phase, int recorded = kFrames, bool own = false,
+                           float parted = 0) {
   SequenceOptions options;
   if (own) options.meshes = std::make_shared<MeshPair>(master.topology);
   options.name = name;
@@ -77,6 +79,7 @@ inline void write_sequence(const std::filesystem::path& folder, const DatasetMas
     frame.time_s = 0.04 * f;
     frame.coarse = wave(master.topology.coarse.rest_positions, f, phase, false);
     frame.fine = wave(master.topology.fine.rest_positions, f, phase, true);
+    frame.fine.col(1).array() += parted;
     writer.append(frame);
   }
   if (recorded == kFrames) writer.finish();
