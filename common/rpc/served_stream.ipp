@@ -193,13 +193,14 @@ class ServedStream {
   using Messages = ServedMessages<Request, Response>;
 
   ServedStream(grpc::ServerContext* context, Messages messages, const FrameServiceOptions& options,
-               std::uint32_t window, const Process& process, ClientWatch& watch)
+               std::uint32_t window, const Process& process, ClientWatch& watch, const telemetry::TraceContext& trace)
       : context_(context),
         messages_(messages),
         options_(options),
         concurrency_(std::max<std::size_t>(1, options.concurrency)),
         process_(process),
         watch_(watch),
+        trace_(trace),
         slots_(window) {
     for (Slot& slot : slots_) free_.push_back(&slot);
   }
@@ -214,7 +215,12 @@ class ServedStream {
     });
     // Shared memory holds the frames that wait: nobody has to read ahead.
     const std::size_t others = messages_.wait_in_memory() ? concurrency_ - 1 : concurrency_;
-    for (std::size_t i = 0; i < others; ++i) threads.start([this] { work(); });
+    for (std::size_t i = 0; i < others; ++i) {
+      threads.start([this] {
+        const telemetry::TraceScope scope(trace_);
+        work();
+      });
+    }
     work();
     threads.join_at_ease();  // all end when the last frame is answered, or when one finds that the client has gone
     if (watch_.timed_out()) return {grpc::StatusCode::DEADLINE_EXCEEDED, "the client was silent, or did not read"};
@@ -319,6 +325,7 @@ class ServedStream {
   const std::size_t concurrency_;
   const Process& process_;
   ClientWatch& watch_;
+  const telemetry::TraceContext& trace_;
   std::vector<Slot> slots_;
   std::mutex mutex_;
   std::condition_variable changed_;
@@ -338,6 +345,8 @@ template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
                           const FrameServiceOptions& options, Open&& open) {
   return guard([&]() -> grpc::Status {
+    const telemetry::TraceContext trace = trace_of(*context);
+    const telemetry::TraceScope scope(trace);
     std::unique_ptr<SharedFrames> shared;
     detail::ClientWatch watch(context, std::min(options.idle_timeout, options.reader_timeout) / 4);
     watch.expect_within(options.idle_timeout);
@@ -362,7 +371,7 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
 
     using Messages = detail::ServedMessages<Request, Response>;
     return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(
-               context, Messages(context, stream, shared.get()), options, window, process, watch)
+               context, Messages(context, stream, shared.get()), options, window, process, watch, trace)
         .run();
   });
 }

@@ -27,6 +27,7 @@
 #include "common/rpc/end_mark.hpp"
 #include "common/rpc/shared_frames.hpp"
 #include "common/rpc/status.hpp"
+#include "common/rpc/trace.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "common/telemetry/stage_timer.hpp"
 
@@ -74,6 +75,7 @@ std::unique_ptr<SharedFrames> accept_shared_frames(grpc::ServerContextBase& cont
 /// on. With concurrency > 1, process is called from several threads at once; answers keep the order of the requests. A
 /// broken sequence of messages (no open, a second one, bytes that are no message) ends the stream with INVALID_ARGUMENT
 /// after the frames before.
+/// All of it runs in a TraceScope of the call.
 /// A client that is silent, or does not read, ends with DEADLINE_EXCEEDED after the time-outs of the options.
 template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,

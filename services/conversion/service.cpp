@@ -12,9 +12,12 @@ std::shared_ptr<Session> ConversionService::open(const v1::ConversionSetup& setu
   return session;
 }
 
-grpc::Status ConversionService::Describe(grpc::ServerContext*, const v1::ConversionSetup* setup,
+grpc::Status ConversionService::Describe(grpc::ServerContext* context, const v1::ConversionSetup* setup,
                                          v1::ConversionOpened* opened) {
-  return rpc::guard([&] { open(*setup, true, v1::Tensor::DTYPE_FLOAT32, opened); });
+  return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
+    open(*setup, true, v1::Tensor::DTYPE_FLOAT32, opened);
+  });
 }
 
 grpc::Status ConversionService::ToImage(grpc::ServerContext* context,

@@ -21,6 +21,7 @@
 #include "common/rpc/channel.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
+#include "common/rpc/trace.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "services/coordinator/backoff.hpp"
 #include "services/coordinator/pipeline_frame.hpp"
@@ -37,6 +38,7 @@ struct LinkOptions {
   std::chrono::milliseconds answer_timeout{60'000};  ///< for one frame; afterwards the stream counts as broken
   telemetry::Metrics* metrics = nullptr;             ///< may be null
   std::shared_ptr<ReplicaDirectory> replicas = {};   ///< behind names; null: addresses are what they are
+  telemetry::TraceContext trace = {};                ///< that all calls belong to
 };
 
 using rpc::may_pass;
@@ -294,6 +296,7 @@ class RemoteStage final : public Stage {
   }
 
   void run(std::size_t r) {
+    const telemetry::TraceScope trace(options_.link.trace);
     Backoff backoff;
     while (!scheduler_.finished()) {
       bool answered = false;
@@ -334,12 +337,16 @@ class RemoteStage final : public Stage {
     try {
       // A new channel for each attempt: an old one waits by a schedule of its own before it connects again.
       const auto stub = Rpc::Service::NewStub(options_.link.connect(address(r)));
-      Stream stream([&](auto* context, auto* call) { Rpc::start(*stub, context, call); },
-                    {.peer = peer(r),
-                     .window = options_.window,
-                     .open_timeout = options_.link.open_timeout,
-                     .frame_timeout = options_.link.answer_timeout,
-                     .same_host = rpc::is_unix_address(address(r))});
+      Stream stream(
+          [&](auto* context, auto* call) {
+            rpc::add_trace(*context, options_.link.trace);
+            Rpc::start(*stub, context, call);
+          },
+          {.peer = peer(r),
+           .window = options_.window,
+           .open_timeout = options_.link.open_timeout,
+           .frame_timeout = options_.link.answer_timeout,
+           .same_host = rpc::is_unix_address(address(r))});
       const Registration registration(*this, r, stream);
       const auto opened = stream.open(options_.open);
       const auto since = Clock::now();
@@ -406,6 +413,7 @@ class RemoteStage final : public Stage {
     std::condition_variable ended;
     bool reading = true;
     std::thread reader([&] {
+      const telemetry::TraceScope trace(options_.link.trace);
       try {
         receive(r, stream, answered);
       } catch (const Error& e) {

@@ -96,9 +96,11 @@ CoordinatorService::CoordinatorService(const CoordinatorOptions& options, teleme
 grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v1::CreateJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceContext trace = rpc::trace_of(*context);
+    const telemetry::TraceScope scope(trace);
     const rpc::Caller caller = callers_.identify(*context);
     require_maker(caller, "make jobs");
-    const JobRecord record = runner_.create(*request, caller.name);
+    const JobRecord record = runner_.create(*request, caller.name, trace);
     audit(caller, record, "created (" + std::to_string(record.frames) + " frames of '" + record.scene_name + "')");
     *job = to_job(record);
   });
@@ -107,6 +109,8 @@ grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v
 grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
                                                   grpc::ServerReader<v1::CreateJobPart>* reader, v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceContext trace = rpc::trace_of(*context);
+    const telemetry::TraceScope scope(trace);
     const rpc::Caller caller = callers_.identify(*context);
     require_maker(caller, "make jobs");
     {
@@ -117,7 +121,7 @@ grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
       const std::lock_guard lock(uploads_mutex_);
       upload_quota_.leave(caller.name);
     });
-    const JobRecord record = receive_job(*context, *reader, caller.name);
+    const JobRecord record = receive_job(*context, *reader, caller.name, trace);
     audit(caller, record,
           "created in parts (" + std::to_string(record.frames) + " frames of '" + record.scene_name + "')");
     *job = to_job(record);
@@ -125,7 +129,7 @@ grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
 }
 
 JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader,
-                                          const std::string& owner) {
+                                          const std::string& owner, const telemetry::TraceContext& trace) {
   SilenceWatch silence(context, idle_timeout_);
   const auto read = [&](v1::CreateJobPart& part) {
     if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
@@ -142,12 +146,13 @@ JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::Se
   }
   part.Clear();
   if (read(part)) throw_invalid_argument("no more parts than the scene announces may follow");
-  return runner_.create(std::move(request), owner);
+  return runner_.create(std::move(request), owner, trace);
 }
 
 grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v1::CancelJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     require_owner(caller, table_.get(request->id()));
     const JobRecord record = runner_.cancel(request->id());
@@ -159,6 +164,7 @@ grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v
 grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1::ListJobsRequest* request,
                                           v1::ListJobsResponse* response) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     if (request->live_sessions()) {
       for (const auto& feed : live_.feeds()) {
@@ -174,6 +180,7 @@ grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1
 
 grpc::Status CoordinatorService::GetJob(grpc::ServerContext* context, const v1::GetJobRequest* request, v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     const JobRecord record = record_of(request->id());
     require_reader(caller, record);
@@ -184,6 +191,7 @@ grpc::Status CoordinatorService::GetJob(grpc::ServerContext* context, const v1::
 grpc::Status CoordinatorService::RemoveJob(grpc::ServerContext* context, const v1::RemoveJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     const JobRecord record = table_.get(request->id());
     require_owner(caller, record);
@@ -197,9 +205,10 @@ grpc::Status CoordinatorService::RemoveJob(grpc::ServerContext* context, const v
 grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* CoordinatorService::Enhance(
     grpc::CallbackServerContext* context) {
   try {
+    const telemetry::TraceContext trace = rpc::trace_of(*context);
     const rpc::Caller caller = callers_.identify(*context);
     require_maker(caller, "open live sessions");
-    return live_.start(context, caller.name);
+    return live_.start(context, caller.name, trace);
   } catch (...) {
     const auto refused = LiveSessions::Reactor::make(context);
     refused->refuse(rpc::current_exception_status());
@@ -327,7 +336,10 @@ grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::Callb
   }
   watchers_.insert(writer);
   try {
-    std::thread([this, writer, caller, request = *asked] { watch(*writer, caller, request); }).detach();
+    std::thread([this, writer, caller, request = *asked, trace = rpc::trace_of(*context)] {
+      const telemetry::TraceScope scope(trace);
+      watch(*writer, caller, request);
+    }).detach();
   } catch (const std::system_error&) {
     watcher_quota_.leave(caller.name);
     watchers_.erase(writer);
@@ -420,6 +432,7 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   job.set_created_s(record.created_s);
   job.set_ended_s(record.ended_s);
   job.set_bytes(record.bytes);
+  job.set_trace_id(record.trace.trace_id);
   return job;
 }
 

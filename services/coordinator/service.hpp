@@ -53,7 +53,7 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   class Watcher;
 
   JobRecord receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader,
-                        const std::string& owner);
+                        const std::string& owner, const telemetry::TraceContext& trace);
   void watch(EventWriter& writer, const rpc::Caller& caller, const v1::WatchJobRequest& request);
   bool watch_session(EventWriter& writer, const v1::WatchJobRequest& request);
   /// Of a job or live session. Throws kNotFound.

@@ -62,13 +62,16 @@ v1::SimulateOpened SimulationSource::connect() {
   address_ = replicas[turn_ % replicas.size()];
   auto fresh = std::make_unique<Connection>();
   fresh->stub = v1::Simulation::NewStub(options_.link.connect(address_));
-  fresh->stream =
-      std::make_unique<Stream>([&](auto* context, auto* call) { fresh->stub->async()->Simulate(context, call); },
-                               rpc::FrameStreamOptions{.peer = peer(),
-                                                       .window = options_.window,
-                                                       .open_timeout = options_.link.open_timeout,
-                                                       .frame_timeout = options_.link.answer_timeout,
-                                                       .server_driven = true});
+  fresh->stream = std::make_unique<Stream>(
+      [&](auto* context, auto* call) {
+        rpc::add_trace(*context, options_.link.trace);
+        fresh->stub->async()->Simulate(context, call);
+      },
+      rpc::FrameStreamOptions{.peer = peer(),
+                              .window = options_.window,
+                              .open_timeout = options_.link.open_timeout,
+                              .frame_timeout = options_.link.answer_timeout,
+                              .server_driven = true});
   {
     const std::lock_guard lock(mutex_);
     connection_ = std::move(fresh);

@@ -99,6 +99,7 @@ void fill(const SimulatedFrame& frame, v1::SimulatedFrame* message) {
 grpc::Status SimulationService::Simulate(grpc::ServerContext* context,
                                          grpc::ServerReaderWriter<v1::SimulateResponse, v1::SimulateRequest>* stream) {
   return rpc::guard([&]() -> grpc::Status {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     v1::SimulateRequest request;
     if (!stream->Read(&request)) return grpc::Status::OK;
     if (!request.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
