@@ -215,6 +215,7 @@ void JobRunner::sweep() {
     for (const JobRecord& record : table_.list()) {
       if (!has_ended(record.state) || record.ended_s == 0 || now - record.ended_s < age_s) continue;
       try {
+        const telemetry::TraceScope trace(record.trace);
         table_.remove(record.id);
         telemetry::audit("job " + record.id + " of " + record.owner + " removed: it ended long enough ago");
       } catch (const Error& error) {

@@ -31,7 +31,8 @@ std::chrono::milliseconds milliseconds_of(double seconds, const std::string& opt
   return std::chrono::milliseconds(std::llround(seconds * 1e3));
 }
 
-LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metrics) {
+LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metrics,
+                    std::shared_ptr<const std::atomic<bool>> stopping) {
   LinkOptions link;
   link.replicas = std::make_shared<ReplicaDirectory>();
   link.connect = [tls = options.service_tls, replicas = link.replicas](const std::string& address) {
@@ -43,6 +44,7 @@ LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metri
   link.give_up = milliseconds_of(options.give_up_s, "give-up-s");
   link.open_timeout = link.answer_timeout = milliseconds_of(options.answer_timeout_s, "answer-timeout-s");
   link.metrics = metrics;
+  link.stopping = std::move(stopping);
   return link;
 }
 
@@ -83,8 +85,9 @@ v1::Job::State to_message(JobState state) {
 CoordinatorService::CoordinatorService(const CoordinatorOptions& options, telemetry::Metrics* metrics)
     : callers_(options.token_file),
       table_(options.data),
-      runner_(table_, addresses_of(options), link_of(options, metrics), checked(options.jobs)),
-      live_(addresses_of(options), link_of(options, metrics), checked(options.live)),
+      link_(link_of(options, metrics, draining_)),
+      runner_(table_, addresses_of(options), link_, checked(options.jobs)),
+      live_(addresses_of(options), link_, checked(options.live)),
       metrics_(metrics),
       reader_timeout_(milliseconds_of(options.live.reader_timeout_s, "reader-timeout-s")),
       watcher_quota_("watchers of jobs", options.max_watchers, options.max_watchers_each),
@@ -132,7 +135,7 @@ JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::Se
                                           const std::string& owner, const telemetry::TraceContext& trace) {
   SilenceWatch silence(context, idle_timeout_);
   const auto read = [&](v1::CreateJobPart& part) {
-    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    if (*draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
     return silence.during([&] { return reader.Read(&part); });
   };
   v1::CreateJobPart part;
@@ -216,7 +219,7 @@ grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* CoordinatorSer
   }
 }
 
-bool CoordinatorService::has_room() const { return !draining_ && live_.has_room() && !runner_.full(); }
+bool CoordinatorService::has_room() const { return !*draining_ && live_.has_room() && !runner_.full(); }
 
 CoordinatorService::~CoordinatorService() {
   std::unique_lock lock(watchers_mutex_);
@@ -224,7 +227,7 @@ CoordinatorService::~CoordinatorService() {
 }
 
 void CoordinatorService::drain() {
-  draining_ = true;
+  *draining_ = true;
   {
     const std::lock_guard lock(watchers_mutex_);
     for (const auto& watcher : watchers_) watcher->interrupt();
@@ -247,7 +250,7 @@ class CoordinatorService::Watcher {
     if (!send_progress(record)) return false;
     while (true) {
       if (writer_.gone()) return false;
-      if (service_.draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+      if (*service_.draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
       // Frames before the end: what is complete now stays readable, whatever becomes of the job.
       if (request_.include_frames() && !send_frames(record.frames_complete)) return false;
       if (has_ended(record.state)) return true;
@@ -327,7 +330,7 @@ grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::Callb
   const grpc::Status admitted = rpc::guard([&] {
     caller = callers_.identify(*context);
     require_reader(caller, record_of(asked->id()));
-    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    if (*draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
     watcher_quota_.enter(caller.name);
   });
   if (!admitted.ok()) {
@@ -375,7 +378,7 @@ bool CoordinatorService::watch_session(EventWriter& writer, const v1::WatchJobRe
     const SessionFeed::News news = feed->wait(revision, std::chrono::milliseconds(250));
     revision = news.revision;
     if (writer.gone()) return false;
-    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    if (*draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
     if (request.include_frames() && news.opened && !opened) {
       if (!writer.write(*news.opened, reader_timeout_)) return false;
       opened = true;

@@ -180,7 +180,7 @@ grpc::Status SuperResolutionService::DescribeModel(grpc::ServerContext* context,
 
 grpc::Status SuperResolutionService::Upscale(
     grpc::ServerContext* context, grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) {
-  rpc::FrameServiceOptions options{"superres", &metrics_, kConcurrency};
+  rpc::FrameServiceOptions options{"superres", &metrics_, &drain_, kConcurrency};
   return rpc::serve_frames<v1::UpscaleRequest, v1::UpscaleResponse>(
       context, stream, options, [&](const v1::UpscaleOpen& open, v1::ModelDescription* opened) {
         auto loaded = batcher(open.model());
