@@ -65,7 +65,7 @@ TEST(Traceparent, WhatTheSpecificationCallsInvalidIsNothing) {
 TEST(Traceparent, LaterVersionsAreReadAsFarAsTheyAreKnown) {
   for (const char* version : {"01", "cc", "fe"}) {
     const std::string text = version + kExample.substr(2);
-    for (const std::string& more : {"", "-", "-what-the-future-will-be-like"}) {
+    for (const char* more : {"", "-", "-what-the-future-will-be-like"}) {
       const auto context = parse_traceparent(text + more);
       ASSERT_TRUE(context) << text << more;
       EXPECT_EQ(context->trace_id, kTrace);

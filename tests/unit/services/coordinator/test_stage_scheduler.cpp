@@ -196,21 +196,25 @@ TEST_F(StageSchedulerTest, TheReplicaWithLeastInFlightTakes) {
   make({.replicas = 2, .window = 2});
   scheduler_->connected(0);
   scheduler_->connected(1);
+  scheduler_->push(item(0));
+  EXPECT_EQ(*scheduler_->take(0), 0U);
+  // Replica 0 has one in flight and replica 1 none: 0 must leave the next one to 1, whoever waits longer.
+  std::thread busy([&] { EXPECT_EQ(*scheduler_->take(0), 2U); });
+  std::this_thread::sleep_for(20ms);
+  scheduler_->push(item(1));
+  EXPECT_EQ(*scheduler_->take(1), 1U);
+  scheduler_->push(item(2));
+  busy.join();
+}
+
+TEST_F(StageSchedulerTest, NobodyWaitsForASenderThatSends) {
+  make({.replicas = 2, .window = 4});
+  scheduler_->connected(0);
+  scheduler_->connected(1);
   for (std::uint64_t i = 0; i < 4; ++i) scheduler_->push(item(i));
   EXPECT_EQ(*scheduler_->take(0), 0U);
-  EXPECT_EQ(*scheduler_->take(1), 1U);
-  answer(1, 1);
-  // Replica 0 has one in flight and replica 1 none: replica 0 must wait until 1 has taken.
-  std::atomic<bool> took{false};
-  std::thread waiting([&] {
-    EXPECT_EQ(*scheduler_->take(0), 3U);
-    took = true;
-  });
-  std::this_thread::sleep_for(20ms);
-  EXPECT_FALSE(took);
-  EXPECT_EQ(*scheduler_->take(1), 2U);
-  waiting.join();
-  EXPECT_TRUE(took);
+  // What replica 0 was sent last may be stuck on its way: its sender does not come back.
+  for (std::uint64_t i = 1; i < 4; ++i) EXPECT_EQ(*scheduler_->take(1), i);
 }
 
 TEST_F(StageSchedulerTest, ALostReplicasWorkGoesToTheOther) {
