@@ -144,6 +144,13 @@ class ServedMessages {
   ServedMessages(grpc::ServerContext* context, Stream* stream, SharedFrames* shared)
       : context_(context), stream_(stream), shared_(shared) {}
 
+  /// From any thread: whoever reads soon finds that the client sends nothing more. A call can't be told, and is
+  /// cancelled.
+  void stop_reading() {
+    if (shared_ == nullptr) return context_->TryCancel();
+    stopped_ = true;
+    shared_->ring();
+  }
   bool wait_in_memory() const { return shared_ != nullptr; }
   /// As gRPC's: false if the client sends nothing more, or has gone, or sent what is no message.
   bool read(Request* request) {
@@ -153,6 +160,7 @@ class ServedMessages {
     while (true) {
       const std::uint32_t rings = shared_->rings();
       const bool closed = shared_->closed();
+      if (stopped_) return false;
       if (shared_->available()) return shared_->receive(request);
       if (closed) return false;
       if (!shared_->wait(rings, std::chrono::steady_clock::now() + kLook) && context_->IsCancelled()) return false;
@@ -167,6 +175,7 @@ class ServedMessages {
   grpc::ServerContext* const context_;
   Stream* const stream_;
   SharedFrames* const shared_;
+  std::atomic<bool> stopped_{false};
 };
 
 class SessionCount {
@@ -192,20 +201,27 @@ class ServedStream {
  public:
   using Messages = ServedMessages<Request, Response>;
 
-  ServedStream(grpc::ServerContext* context, Messages messages, const FrameServiceOptions& options,
-               std::uint32_t window, const Process& process, ClientWatch& watch)
+  ServedStream(grpc::ServerContext* context, Messages& messages, const FrameServiceOptions& options,
+               std::uint32_t window, const Process& process, ClientWatch& watch, const telemetry::TraceContext& trace)
       : context_(context),
         messages_(messages),
         options_(options),
         concurrency_(std::max<std::size_t>(1, options.concurrency)),
         process_(process),
         watch_(watch),
+        trace_(trace),
         slots_(window) {
     for (Slot& slot : slots_) free_.push_back(&slot);
   }
 
   /// Until the client has no more and everything is answered, or it has gone.
   grpc::Status run() {
+    const Drain::Watch drain(options_.drain, [this] {
+      const std::lock_guard lock(mutex_);
+      draining_ = true;
+      stop_reading_if_idle();
+      changed_.notify_all();
+    });
     Threads threads([this] {
       const std::lock_guard lock(mutex_);
       broken_ = true;
@@ -214,11 +230,18 @@ class ServedStream {
     });
     // Shared memory holds the frames that wait: nobody has to read ahead.
     const std::size_t others = messages_.wait_in_memory() ? concurrency_ - 1 : concurrency_;
-    for (std::size_t i = 0; i < others; ++i) threads.start([this] { work(); });
+    for (std::size_t i = 0; i < others; ++i) {
+      threads.start([this] {
+        const telemetry::TraceScope scope(trace_);
+        work();
+      });
+    }
     work();
     threads.join_at_ease();  // all end when the last frame is answered, or when one finds that the client has gone
     if (watch_.timed_out()) return {grpc::StatusCode::DEADLINE_EXCEEDED, "the client was silent, or did not read"};
+    const std::lock_guard lock(mutex_);
     if (broken_) return {grpc::StatusCode::CANCELLED, "the client has gone"};
+    if (draining_ && !closed_ && status_.ok()) return {grpc::StatusCode::UNAVAILABLE, Drain::kCause};
     return status_;
   }
 
@@ -232,7 +255,12 @@ class ServedStream {
 
   bool may_write() const { return !writing_ && !order_.empty() && order_.front()->done; }
   bool may_process() const { return processing_ < concurrency_ && !waiting_.empty(); }
-  bool may_read() const { return !reading_ && !no_more_ && !free_.empty(); }
+  bool may_read() const { return !reading_ && !no_more_ && !draining_ && !free_.empty(); }
+  bool is_over() const { return (no_more_ || (draining_ && !reading_)) && order_.empty(); }
+  /// When nothing is left to be answered. With the lock.
+  void stop_reading_if_idle() {
+    if (draining_ && reading_ && order_.empty()) messages_.stop_reading();
+  }
 
   void work() {
     Lock lock(mutex_);
@@ -243,7 +271,7 @@ class ServedStream {
         process_next(lock);
       } else if (may_read()) {
         read_next(lock);
-      } else if (no_more_ && order_.empty()) {
+      } else if (is_over()) {
         return;
       } else {
         changed_.wait(lock);
@@ -273,6 +301,7 @@ class ServedStream {
     });
     reading_ = false;
     const bool frame = read && slot->request.has_frame();
+    closed_ = !read && !draining_;
     if (!read && !has_end_mark(slot->request)) status_ = undecodable();
     if (read && !frame) status_ = {grpc::StatusCode::INVALID_ARGUMENT, "after `open` only frames may follow"};
     if (!frame) {
@@ -310,15 +339,17 @@ class ServedStream {
     order_.pop_front();
     free_.push_back(slot);
     order_.empty() ? watch_.expect_within(options_.idle_timeout) : watch_.expect_nothing();
-    if (no_more_ && order_.empty()) changed_.notify_all();
+    stop_reading_if_idle();
+    if (is_over()) changed_.notify_all();
   }
 
   grpc::ServerContext* const context_;
-  Messages messages_;
+  Messages& messages_;
   const FrameServiceOptions& options_;
   const std::size_t concurrency_;
   const Process& process_;
   ClientWatch& watch_;
+  const telemetry::TraceContext& trace_;
   std::vector<Slot> slots_;
   std::mutex mutex_;
   std::condition_variable changed_;
@@ -327,8 +358,10 @@ class ServedStream {
   std::deque<Slot*> order_;    ///< all in flight, oldest first
   std::size_t processing_ = 0;
   bool reading_ = false, writing_ = false;
-  bool no_more_ = false;  ///< the client sends nothing more
-  bool broken_ = false;   ///< the client has gone
+  bool no_more_ = false;  ///< nothing more is read
+  bool closed_ = false;   ///< because the client sends nothing more
+  bool draining_ = false;
+  bool broken_ = false;  ///< the client has gone
   grpc::Status status_ = grpc::Status::OK;
 };
 
@@ -338,6 +371,8 @@ template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
                           const FrameServiceOptions& options, Open&& open) {
   return guard([&]() -> grpc::Status {
+    const telemetry::TraceContext trace = trace_of(*context);
+    const telemetry::TraceScope scope(trace);
     std::unique_ptr<SharedFrames> shared;
     detail::ClientWatch watch(context, std::min(options.idle_timeout, options.reader_timeout) / 4);
     watch.expect_within(options.idle_timeout);
@@ -349,6 +384,7 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
     }
     watch.expect_nothing();
     if (!first.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
+    if (options.drain != nullptr) options.drain->require_none();
     const std::uint32_t window = checked_window(first.open().window());
     const detail::SessionCount session(options.metrics);
     Response opened;
@@ -361,8 +397,9 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
     watch.expect_within(options.idle_timeout);
 
     using Messages = detail::ServedMessages<Request, Response>;
-    return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(
-               context, Messages(context, stream, shared.get()), options, window, process, watch)
+    Messages messages(context, stream, shared.get());
+    return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(context, messages, options, window,
+                                                                                    process, watch, trace)
         .run();
   });
 }
@@ -370,8 +407,18 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
 template <typename Request, typename Response>
 PacedWriter<Request, Response>::PacedWriter(grpc::ServerContext* context,
                                             grpc::ServerReaderWriter<Response, Request>* stream, std::uint32_t window,
-                                            std::uint64_t next_index)
-    : context_(context), stream_(stream), window_(window), acknowledged_(next_index), reader_([this] { read(); }) {}
+                                            std::uint64_t next_index, Drain* drain)
+    : context_(context),
+      stream_(stream),
+      window_(window),
+      acknowledged_(next_index),
+      drain_watch_(drain,
+                   [this] {
+                     const std::lock_guard lock(mutex_);
+                     draining_ = true;
+                     changed_.notify_all();
+                   }),
+      reader_([this] { read(); }) {}
 
 template <typename Request, typename Response>
 PacedWriter<Request, Response>::~PacedWriter() {
@@ -401,12 +448,13 @@ bool PacedWriter<Request, Response>::write(std::uint64_t index, const Response& 
   {
     std::unique_lock lock(mutex_);
     const auto may_write = [&] { return stopped_ || index < acknowledged_ + window_; };
-    if (!changed_.wait_for(lock, kIdleTimeout, may_write)) {
+    if (!changed_.wait_for(lock, kIdleTimeout, [&] { return draining_ || may_write(); })) {
       throw Error(ErrorCode::kDeadlineExceeded,
                   "the client has acknowledged nothing for " + std::to_string(kIdleTimeout.count()) + " s");
     }
     throw_if_broken();
     if (stopped_) return false;
+    if (!may_write()) throw Error(ErrorCode::kUnavailable, Drain::kCause);
   }
   return stream_->Write(response);
 }
@@ -420,7 +468,7 @@ bool PacedWriter<Request, Response>::stopped() const {
 template <typename Request, typename Response>
 void PacedWriter<Request, Response>::close() {
   std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, kIdleTimeout, [&] { return stopped_; });
+  changed_.wait_for(lock, kIdleTimeout, [&] { return stopped_ || draining_; });
   throw_if_broken();
 }
 

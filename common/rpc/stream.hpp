@@ -24,9 +24,11 @@
 #include <type_traits>
 #include <vector>
 
+#include "common/rpc/drain.hpp"
 #include "common/rpc/end_mark.hpp"
 #include "common/rpc/shared_frames.hpp"
 #include "common/rpc/status.hpp"
+#include "common/rpc/trace.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "common/telemetry/stage_timer.hpp"
 
@@ -58,6 +60,7 @@ std::uint64_t frame_index(const Message& message) {
 struct FrameServiceOptions {
   std::string stage;                      ///< in metrics, and in the answer's stage_times where it has them
   telemetry::Metrics* metrics = nullptr;  ///< may be null
+  Drain* drain = nullptr;                 ///< of the service; may be null
   std::size_t concurrency = 1;            ///< frames of one stream processed at the same time
   std::chrono::milliseconds idle_timeout = kIdleTimeout;      ///< without a frame while none is in work
   std::chrono::milliseconds reader_timeout = kReaderTimeout;  ///< for one answer to be taken
@@ -74,6 +77,10 @@ std::unique_ptr<SharedFrames> accept_shared_frames(grpc::ServerContextBase& cont
 /// on. With concurrency > 1, process is called from several threads at once; answers keep the order of the requests. A
 /// broken sequence of messages (no open, a second one, bytes that are no message) ends the stream with INVALID_ARGUMENT
 /// after the frames before.
+/// All of it runs in a TraceScope of the call.
+/// When the service drains, the frames that were read are answered and the stream ends with UNAVAILABLE, as a new one
+/// does; through a connection that waits for the client, which can't be told of it otherwise, as a call that was
+/// cancelled. Frames that were not read are for the client to send to another replica.
 /// A client that is silent, or does not read, ends with DEADLINE_EXCEEDED after the time-outs of the options.
 template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
@@ -84,13 +91,15 @@ grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter
 template <typename Request, typename Response>
 class PacedWriter {
  public:
+  /// drain: of the service; may be null.
   PacedWriter(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream, std::uint32_t window,
-              std::uint64_t next_index);
+              std::uint64_t next_index, Drain* drain = nullptr);
   /// Cancels the call if the client still sends; joins the reader. Call close() first for a normal end.
   ~PacedWriter();
 
   /// Waits until `index` is inside the window, then writes. False: the client has gone, or closed its side. Throws
-  /// kInvalidArgument if it sent what is no acknowledgement, kDeadlineExceeded if it sends none.
+  /// kUnavailable when the service drains and the frame is not inside yet, kInvalidArgument if it sent what is no
+  /// acknowledgement, kDeadlineExceeded if it sends none.
   bool write(std::uint64_t index, const Response& response);
 
   /// True once the client has gone, closed its side, or sent what is no acknowledgement: stop working.
@@ -109,7 +118,8 @@ class PacedWriter {
   std::uint64_t acknowledged_;  ///< frames below this index have been taken
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  bool stopped_ = false, broken_ = false;
+  bool stopped_ = false, broken_ = false, draining_ = false;
+  const Drain::Watch drain_watch_;
   std::thread reader_;
 };
 

@@ -1,6 +1,7 @@
 #include "common/telemetry/log.hpp"
 
 #include <spdlog/formatter.h>
+#include <spdlog/pattern_formatter.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 
 #include <chrono>
@@ -9,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/error.hpp"
+#include "common/telemetry/trace.hpp"
 
 namespace pleat::telemetry {
 namespace {
@@ -25,6 +27,7 @@ class JsonFormatter : public spdlog::formatter {
     line["level"] = std::string(spdlog::level::to_string_view(message.level).data());
     line["service"] = service_;
     line["thread"] = message.thread_id;
+    if (const auto trace = current_trace_id(); !trace.empty()) line["trace"] = trace;
     line["message"] = std::string(message.payload.data(), message.payload.size());
     const std::string text = line.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
     target.append(text.data(), text.data() + text.size());
@@ -34,6 +37,18 @@ class JsonFormatter : public spdlog::formatter {
 
  private:
   std::string service_;
+};
+
+/// " trace=ID" where the line belongs to one. The logger formats in the thread that logs.
+class TraceFlag : public spdlog::custom_flag_formatter {
+ public:
+  void format(const spdlog::details::log_msg&, const std::tm&, spdlog::memory_buf_t& target) override {
+    const std::string_view trace = current_trace_id(), name = " trace=";
+    if (trace.empty()) return;
+    target.append(name.data(), name.data() + name.size());
+    target.append(trace.data(), trace.data() + trace.size());
+  }
+  std::unique_ptr<custom_flag_formatter> clone() const override { return std::make_unique<TraceFlag>(); }
 };
 
 }  // namespace
@@ -50,7 +65,9 @@ void set_up_logging(const std::string& service, const LogOptions& options) {
   if (options.format == "json") {
     logger->set_formatter(std::make_unique<JsonFormatter>(service));
   } else if (options.format == "console") {
-    logger->set_pattern("%H:%M:%S.%e %^%l%$ %n: %v");
+    auto formatter = std::make_unique<spdlog::pattern_formatter>();
+    formatter->add_flag<TraceFlag>('*').set_pattern("%H:%M:%S.%e %^%l%$ %n: %v%*");
+    logger->set_formatter(std::move(formatter));
   } else {
     throw_invalid_argument("unknown log format '" + options.format + "', console or json");
   }

@@ -1,4 +1,5 @@
-// Logging of processes: spdlog, on stderr, as lines for people or JSON lines for machines. Libraries do not log.
+// Logging of processes: spdlog, on stderr, as lines for people or JSON lines for machines. Libraries do not log. What
+// is logged while a TraceScope (trace.hpp) lives ends in " trace=ID", or has the key "trace".
 #pragma once
 
 #include <spdlog/spdlog.h>

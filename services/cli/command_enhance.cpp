@@ -109,7 +109,7 @@ int enhance(EnhanceOptions options) {
     launcher.emplace(launch);
     address = launcher->coordinator();
   }
-  client::Client client(address, options.tls);
+  client::Client client(address, options.tls, traceparent());
   client.wait_ready(std::chrono::milliseconds(static_cast<long>(options.timeout_s * 1000)));
 
   const auto while_away = [&launcher] {

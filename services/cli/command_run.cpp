@@ -99,9 +99,9 @@ class Run {
       launch.data = work_->path();
       launch.logs = out_ / "logs";
       launcher_.emplace(launch);
-      client_.emplace(launcher_->coordinator());
+      client_.emplace(launcher_->coordinator(), rpc::TlsOptions{}, traceparent());
     } else {
-      client_.emplace(options_.coordinator, options_.tls);
+      client_.emplace(options_.coordinator, options_.tls, traceparent());
       client_->wait_ready(std::chrono::milliseconds(static_cast<long>(options_.timeout_s * 1000)));
     }
 

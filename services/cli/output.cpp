@@ -1,11 +1,13 @@
 #include "services/cli/output.hpp"
 
 #include <cstdio>
+#include <cstdlib>
 
 #include "common/base/error.hpp"
 #include "common/base/machine.hpp"
 #include "common/base/own_file.hpp"
 #include "common/base/terminal.hpp"
+#include "common/rpc/trace.hpp"
 #include "common/store/hdf5.hpp"
 #include "services/cli/command.hpp"
 #include "services/cli/launcher/launcher.hpp"
@@ -62,6 +64,14 @@ void print_notes(const std::vector<std::string>& notes) {
         stderr, "%s %s\n", colored("note:", Color::kYellow).c_str(),
         more ? (std::to_string(notes.size() - i) + " more notes; `pleat check` prints all").c_str() : notes[i].c_str());
   }
+}
+
+std::string traceparent() {
+  const char* given = std::getenv("TRACEPARENT");
+  const auto known = given == nullptr ? std::nullopt : telemetry::parse_traceparent(given);
+  const telemetry::TraceContext trace = known ? *known : telemetry::new_trace();
+  say("trace " + trace.trace_id + (known ? " of $TRACEPARENT" : ""));
+  return to_traceparent(trace);
 }
 
 void make_output_folder(const fs::path& folder) {

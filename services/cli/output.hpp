@@ -22,6 +22,10 @@ std::string shipped_or(const std::string& text, const std::string& folder);
 /// Prints what is worth knowing about the input on stderr, three lines at most (verbose: all; quiet: none).
 void print_notes(const std::vector<std::string>& notes);
 
+/// The W3C trace context of what the command asks for: $TRACEPARENT if it is valid, else a new one. Says the id on
+/// stderr (verbose only).
+std::string traceparent();
+
 /// Writes report.json and report.html from FOLDER/result.h5 and prints the figures on stdout, with
 /// `json` as report.json has them. Returns the exit code:
 /// kExitNotClean, with a line on stderr, if penetrations or self-intersections are left. bodies: of the scene, which

@@ -18,6 +18,6 @@ int main(int argc, char** argv) {
     pleat::telemetry::set_up_logging("conversion", server.log);
     pleat::telemetry::Metrics metrics("conversion");
     pleat::conversion::ConversionService service(conversion, metrics);
-    return pleat::rpc::run_server(server, {{&service, "pleat.v1.Conversion"}}, metrics);
+    return pleat::rpc::run_server(server, {{&service, "pleat.v1.Conversion", [&] { service.drain(); }}}, metrics);
   });
 }

@@ -12,15 +12,19 @@ std::shared_ptr<Session> ConversionService::open(const v1::ConversionSetup& setu
   return session;
 }
 
-grpc::Status ConversionService::Describe(grpc::ServerContext*, const v1::ConversionSetup* setup,
+grpc::Status ConversionService::Describe(grpc::ServerContext* context, const v1::ConversionSetup* setup,
                                          v1::ConversionOpened* opened) {
-  return rpc::guard([&] { open(*setup, true, v1::Tensor::DTYPE_FLOAT32, opened); });
+  return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
+    open(*setup, true, v1::Tensor::DTYPE_FLOAT32, opened);
+  });
 }
 
 grpc::Status ConversionService::ToImage(grpc::ServerContext* context,
                                         grpc::ServerReaderWriter<v1::ToImageResponse, v1::ToImageRequest>* stream) {
   return rpc::serve_frames<v1::ToImageRequest, v1::ToImageResponse>(
-      context, stream, {"to_image", &metrics_}, [this](const v1::ToImageOpen& message, v1::ConversionOpened* opened) {
+      context, stream, {"to_image", &metrics_, &drain_},
+      [this](const v1::ToImageOpen& message, v1::ConversionOpened* opened) {
         const auto session = open(message.setup(), false, message.dtype(), opened);
         session->add_obstacles(message.obstacles());
         return [session, this](const v1::ToImageRequest& request, v1::ImageFrame* response) {
@@ -33,7 +37,8 @@ grpc::Status ConversionService::ToImage(grpc::ServerContext* context,
 grpc::Status ConversionService::ToMesh(grpc::ServerContext* context,
                                        grpc::ServerReaderWriter<v1::ToMeshResponse, v1::ToMeshRequest>* stream) {
   return rpc::serve_frames<v1::ToMeshRequest, v1::ToMeshResponse>(
-      context, stream, {"to_mesh", &metrics_}, [this](const v1::ToMeshOpen& message, v1::ConversionOpened* opened) {
+      context, stream, {"to_mesh", &metrics_, &drain_},
+      [this](const v1::ToMeshOpen& message, v1::ConversionOpened* opened) {
         const auto session = open(message.setup(), true, v1::Tensor::DTYPE_FLOAT32, opened);
         return
             [session](const v1::ImageFrame& request, v1::MeshFrame* response) { session->decode(request, response); };

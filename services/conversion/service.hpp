@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <memory>
 
+#include "common/rpc/drain.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/conversion.grpc.pb.h"
 #include "services/conversion/session.hpp"
@@ -34,12 +35,16 @@ class ConversionService final : public v1::Conversion::Service {
   grpc::Status ToMesh(grpc::ServerContext* context,
                       grpc::ServerReaderWriter<v1::ToMeshResponse, v1::ToMeshRequest>* stream) override;
 
+  /// Streams end when what they have read is answered; new ones are refused. A client goes on in another replica.
+  void drain() { drain_.begin(); }
+
  private:
   std::shared_ptr<Session> open(const v1::ConversionSetup& setup, bool with_fine, v1::Tensor::DType dtype,
                                 v1::ConversionOpened* opened);
 
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
+  rpc::Drain drain_;
   RepresentationCache maps_;
 };
 

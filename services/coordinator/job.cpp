@@ -90,7 +90,9 @@ std::string to_json(const JobRecord& record) {
                                     {"owner", record.owner},
                                     {"created_s", record.created_s},
                                     {"ended_s", record.ended_s},
-                                    {"bytes", record.bytes}};
+                                    {"bytes", record.bytes},
+                                    {"traceparent", record.trace.empty() ? "" : to_traceparent(record.trace)},
+                                    {"tracestate", record.trace.state}};
   // Messages may quote what a client sent: what is not UTF-8 must not stop a record from being written.
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
@@ -128,6 +130,10 @@ JobRecord job_from_json(const std::string& text, const std::string& origin) {
     record.created_s = json.value("created_s", 0.0);
     record.ended_s = json.value("ended_s", 0.0);
     record.bytes = json.value("bytes", std::uint64_t{0});
+    if (auto trace = telemetry::parse_traceparent(json.value("traceparent", std::string()))) {
+      record.trace = std::move(*trace);
+      record.trace.state = json.value("tracestate", std::string());
+    }
     if (!is_valid_job_id(record.id)) throw_data_loss("bad job id");
     return record;
   } catch (const std::exception& e) {

@@ -6,6 +6,8 @@
 #include <string_view>
 #include <vector>
 
+#include "common/telemetry/trace.hpp"
+
 namespace pleat::coordinator {
 
 enum class JobState { kQueued, kRunning, kReference, kDone, kFailed, kCancelled };
@@ -47,6 +49,7 @@ struct JobRecord {
   double created_s = 0;               ///< Unix time
   double ended_s = 0;                 ///< Unix time; 0: it has not, or that was not written down
   std::uint64_t bytes = 0;            ///< of its folder; before the end what is expected at most
+  telemetry::TraceContext trace;      ///< of the call that made it; empty: made by a coordinator that knew none
 
   bool operator==(const JobRecord&) const = default;
 };

@@ -154,7 +154,8 @@ class PendingCheckpoints {
 
 }  // namespace
 
-void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations) {
+void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations,
+                        const LinkOptions& link) {
   const v1::Scene& scene = request.scene();
   const fs::path folder = table_.folder(job.id);
   const fs::path result = folder / "result.h5";
@@ -168,7 +169,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   const bool network = uses_network(session.detail), fold = uses_fold(session.detail);
   const auto bundle = network ? load_bundle(folder / "bundle.pb", partial) : std::nullopt;
   session.window = settings_.window;
-  session.model = network ? describe_model(addresses_, link_, bundle ? bundle->model() : request.model(),
+  session.model = network ? describe_model(addresses_, link, bundle ? bundle->model() : request.model(),
                                            [&] { return job.cause().has_value(); })
                           : without_model();
   if (fold) session.fold = fold_open_of(scene);
@@ -182,7 +183,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
                                        .window = settings_.window,
                                        .checkpoint_interval = settings_.checkpoint_interval,
                                        .checkpoint = {},
-                                       .link = link_};
+                                       .link = link};
   auto started = start_simulation(job, simulation, folder / "checkpoint.bin", frames_on_disk(partial));
   const auto start_anew = [&] { started = start_simulation(job, simulation, {}, 0); };
   // The fold step goes on from what it left, and that is kept at check-points alone: the frames behind it are made
@@ -196,7 +197,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   if (network) session.network_coarse = coarse_for_network(session.model, coarse);
   const Subdivision subdivision = subdivision_of(session, coarse, [&] {
     if (!network) return;
-    session.conversion = describe_conversion(addresses_, link_, session, [&] { return job.cause().has_value(); });
+    session.conversion = describe_conversion(addresses_, link, session, [&] { return job.cause().has_value(); });
   });
   const auto fine_vertices = static_cast<std::size_t>(subdivision.fine.vertex_count());
   if (started.opened.has_fine()) {
@@ -290,7 +291,7 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
       write_whole_file(folder / "bundle.pb", session.model.SerializeAsString());
     }
     EnhancementPipeline pipeline(
-        addresses_, link_, session, fine_vertices, topology_hash(subdivision.fine),
+        addresses_, link, session, fine_vertices, topology_hash(subdivision.fine),
         [&](std::unique_ptr<PipelineFrame> frame) {
           checkpoints.add_memories(*frame);
           if (frame->index >= first) recorder.add(std::move(frame));
@@ -327,7 +328,8 @@ void JobRunner::enhance(ActiveJob& job, const v1::CreateJobRequest& request, con
   }
 }
 
-void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations) {
+void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations,
+                                   const LinkOptions& link) {
   const fs::path folder = table_.folder(job.id);
   const fs::path result = folder / "result.h5";
   const fs::path path = folder / "reference.h5";
@@ -345,7 +347,7 @@ void JobRunner::simulate_reference(ActiveJob& job, const v1::CreateJobRequest& r
                                          .window = settings_.window,
                                          .checkpoint_interval = settings_.checkpoint_interval,
                                          .checkpoint = {},
-                                         .link = link_};
+                                         .link = link};
     const fs::path checkpoint_file = folder / "reference_checkpoint.bin";
     auto started = start_simulation(job, simulation, checkpoint_file, writer.frames_complete());
     SimulationSource& source = *started.source;

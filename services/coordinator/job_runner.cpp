@@ -110,7 +110,8 @@ JobRunner::~JobRunner() {
   if (sweeper_.joinable()) sweeper_.join();
 }
 
-JobRecord JobRunner::create(v1::CreateJobRequest request, const std::string& owner) {
+JobRecord JobRunner::create(v1::CreateJobRequest request, const std::string& owner,
+                            const telemetry::TraceContext& trace) {
   if (stopping()) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
   if (!request.has_scene()) throw_invalid_argument("scene: is missing");
   v1::Scene& scene = *request.mutable_scene();
@@ -135,20 +136,19 @@ JobRecord JobRunner::create(v1::CreateJobRequest request, const std::string& own
                  .reference = request.reference(),
                  .model = request.model(),
                  .request = request.SerializeAsString(),
-                 .owner = owner};
+                 .owner = owner,
+                 .trace = trace.empty() ? telemetry::new_trace() : trace};
   // A request that is sent again asks the services for nothing.
   const bool known = !job.id.empty() && table_.contains(job.id);
   if (!known) {
     require_room(owner);
+    const LinkOptions link = link_for(job.trace);
     const auto never = [] { return false; };
     const v1::ModelDescription model =
-        uses_network(request.detail()) ? describe_model(addresses_, link_, request.model(), never) : without_model();
+        uses_network(request.detail()) ? describe_model(addresses_, link, request.model(), never) : without_model();
     const auto animations = share_animations(scene);
-    SimulationSource source({.addresses = addresses_.simulation,
-                             .scene = scene,
-                             .animations = animations,
-                             .checkpoint = {},
-                             .link = link_});
+    SimulationSource source(
+        {.addresses = addresses_.simulation, .scene = scene, .animations = animations, .checkpoint = {}, .link = link});
     const Topology coarse = from_message(source.open().coarse(), "the simulation's coarse mesh");
     const v1::Representation representation = representation_of(scene, request.detail(), model);
     const std::string named = "scene '" + scene.name() + "'";
@@ -215,6 +215,7 @@ void JobRunner::sweep() {
     for (const JobRecord& record : table_.list()) {
       if (!has_ended(record.state) || record.ended_s == 0 || now - record.ended_s < age_s) continue;
       try {
+        const telemetry::TraceScope trace(record.trace);
         table_.remove(record.id);
         telemetry::audit("job " + record.id + " of " + record.owner + " removed: it ended long enough ago");
       } catch (const Error& error) {
@@ -280,6 +281,12 @@ bool JobRunner::stopping() const {
   return stopping_;
 }
 
+LinkOptions JobRunner::link_for(const telemetry::TraceContext& trace) const {
+  LinkOptions link = link_;
+  link.trace = trace;
+  return link;
+}
+
 void JobRunner::work() {
   std::unique_lock lock(mutex_);
   while (true) {
@@ -297,6 +304,12 @@ void JobRunner::work() {
 }
 
 void JobRunner::execute(ActiveJob& job) {
+  // A job of a coordinator that knew no traces gets one.
+  const JobRecord before = table_.get(job.id);
+  const telemetry::TraceContext trace = before.trace.empty() ? telemetry::new_trace() : before.trace;
+  const telemetry::TraceScope scope(trace);
+  const LinkOptions link = link_for(trace);
+  spdlog::info("job {}: from frame {} of {}", job.id, before.frames_complete, before.frames);
   std::optional<Error> failure;
   try {
     v1::CreateJobRequest request;
@@ -305,28 +318,33 @@ void JobRunner::execute(ActiveJob& job) {
     }
     const Animations animations = share_animations(*request.mutable_scene());
     const fs::path result = table_.folder(job.id) / "result.h5";
-    table_.update(job.id, [](JobRecord& record) { record.state = JobState::kRunning; });
-    if (!fs::exists(result)) enhance(job, request, animations);
+    table_.update(job.id, [&](JobRecord& record) {
+      record.state = JobState::kRunning;
+      record.trace = trace;
+    });
+    if (!fs::exists(result)) enhance(job, request, animations, link);
     if (request.reference() && !ResultReader(result, FileOrigin::kOwn).info().has_fine) {
       table_.update(job.id, [](JobRecord& record) { record.state = JobState::kReference; });
-      simulate_reference(job, request, animations);
+      simulate_reference(job, request, animations, link);
     }
     // A job that is taken up again from here has its whole result, and needs none of these.
     for (const char* scratch : {"bundle.pb", "checkpoint.bin", "reference_checkpoint.bin"}) {
       std::error_code ignored;
       fs::remove(table_.folder(job.id) / scratch, ignored);
     }
-    table_.update(job.id, [](JobRecord& record) {
+    const JobRecord done = table_.update(job.id, [](JobRecord& record) {
       record.state = JobState::kDone;
       record.frames_complete = record.frames;
       record.reference_frames_complete = record.reference ? record.frames : 0;
     });
+    spdlog::info("job {}: done, {} frames in {:.1f} s", job.id, done.frames, done.wall_s);
   } catch (const Error& e) {
     failure = job.cause().value_or(e);
   } catch (const std::exception& e) {
     failure = Error(ErrorCode::kInternal, e.what());
   }
   if (!failure || stopping()) return;
+  spdlog::warn("job {}: {}", job.id, failure->what());
   try {
     table_.update(job.id, [&](JobRecord& record) {
       record.state = failure->code() == ErrorCode::kCancelled ? JobState::kCancelled : JobState::kFailed;

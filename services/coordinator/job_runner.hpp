@@ -44,8 +44,9 @@ class JobRunner {
   /// Checks the request (the scene by opening it in the simulation service, the bundle by asking for it) and queues it.
   /// Errors: kInvalidArgument and kNotFound from the services, kFailedPrecondition (bundle of another mesh),
   /// kUnavailable naming the service's address, kResourceExhausted (a limit of the settings, or of the disk: a job
-  /// whose file won't fit beside those of the jobs before it does not begin).
-  JobRecord create(v1::CreateJobRequest request, const std::string& owner);
+  /// whose file won't fit beside those of the jobs before it does not begin). trace: what all work on the job belongs
+  /// to, now and after a restart; empty: a new one.
+  JobRecord create(v1::CreateJobRequest request, const std::string& owner, const telemetry::TraceContext& trace = {});
 
   /// Ends the job, if it has not ended, and waits for that (at most 5 s).
   JobRecord cancel(const std::string& id);
@@ -69,8 +70,11 @@ class JobRunner {
   void show_queue() const;
   void work();
   void execute(ActiveJob& job);
-  void enhance(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations);
-  void simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations);
+  void enhance(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations,
+               const LinkOptions& link);
+  void simulate_reference(ActiveJob& job, const v1::CreateJobRequest& request, const Animations& animations,
+                          const LinkOptions& link);
+  LinkOptions link_for(const telemetry::TraceContext& trace) const;
 
   JobTable& table_;
   const ServiceAddresses addresses_;

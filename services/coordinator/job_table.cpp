@@ -141,6 +141,7 @@ std::pair<JobRecord, bool> JobTable::create(const JobRequest& request) {
   entry.record.model = request.model;
   entry.record.owner = request.owner;
   entry.record.bytes = request.bytes;
+  entry.record.trace = request.trace;
   entry.record.created_s = unix_time_s();
   entry.record.order = next_order_++;
   const fs::path folder = jobs_ / entry.record.id;

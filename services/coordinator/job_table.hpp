@@ -27,6 +27,7 @@ struct JobRequest {
   std::string request;
   std::string owner = {};
   std::uint64_t bytes = 0;  ///< that the job's files will take at most
+  telemetry::TraceContext trace = {};
 };
 
 /// Folder layout: DATA/jobs/ID/{job.json, request.pb, result.h5, checkpoint.bin, ...}, folders of mode 0700. Records

@@ -55,13 +55,14 @@ std::string fault_of(const v1::Frame& frame, Eigen::Index vertices) {
 }
 
 /// What a session looks like as a job. The id is random: that of a session before a restart must not be found again.
-JobRecord record_of(const std::string& owner) {
+JobRecord record_of(const std::string& owner, const telemetry::TraceContext& trace) {
   std::random_device device;
   JobRecord record;
   record.id = kLivePrefix;
   for (int i = 0; i < 12; ++i) record.id += "0123456789abcdef"[device() % 16];
   record.state = JobState::kRunning;
   record.owner = owner;
+  record.trace = trace;
   record.created_s = std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
   return record;
 }
@@ -101,26 +102,37 @@ class LiveSessions::Share {
 class LiveSessions::Session : public std::enable_shared_from_this<Session> {
  public:
   /// turn: which of several fold services it asks first.
-  Session(LiveSessions& owner, grpc::CallbackServerContext* context, std::size_t turn, const std::string& client)
+  Session(LiveSessions& owner, grpc::CallbackServerContext* context, std::size_t turn, const std::string& client,
+          const telemetry::TraceContext& trace)
       : owner_(owner),
+        link_(owner.link_),
         turn_(turn),
         reactor_(Reactor::make(context)),
-        feed_(std::make_shared<SessionFeed>(record_of(client))),
-        began_(std::chrono::steady_clock::now()) {}
+        feed_(std::make_shared<SessionFeed>(record_of(client, trace))),
+        began_(std::chrono::steady_clock::now()) {
+    link_.trace = trace;
+  }
 
   Reactor* reactor() const { return reactor_.get(); }
   const std::shared_ptr<SessionFeed>& feed() const { return feed_; }
 
   /// The whole session, in its own thread.
   void run() {
+    const telemetry::TraceScope trace(link_.trace);
     // A client may be found gone long after the session has ended.
     reactor_->on_gone([session = this->weak_from_this()] {
       if (const auto alive = session.lock()) alive->client_gone();
     });
-    auto* metrics = owner_.link_.metrics;
+    auto* metrics = link_.metrics;
     if (metrics != nullptr) metrics->add_sessions(1);
     const grpc::Status status = rpc::guard([&] { serve(); });
-    if (!status.ok() && !is_gone()) spdlog::warn("live session ended: {}", status.error_message());
+    const JobRecord last = feed_->record();
+    if (!status.ok() && !is_gone()) {
+      spdlog::warn("session {}: ended after {} frames: {}", last.id, last.frames_complete, status.error_message());
+    } else {
+      spdlog::info("session {}: ended after {} frames{}", last.id, last.frames_complete,
+                   is_gone() ? ", the client has gone" : "");
+    }
     feed_->update([&](JobRecord& record) {
       record.state = status.ok() ? JobState::kDone : is_gone() ? JobState::kCancelled : JobState::kFailed;
       if (record.state == JobState::kFailed) record.error = status.error_message();
@@ -168,7 +180,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
       throw_invalid_argument("open.detail: '" + std::string(name_of(session.detail)) + "' is for jobs");
     }
     if (uses_network(session.detail)) {
-      session.model = describe_model(owner_.addresses_, owner_.link_, open.model(), [this] { return is_gone(); });
+      session.model = describe_model(owner_.addresses_, link_, open.model(), [this] { return is_gone(); });
       session.representation = session.model.representation();
       session.network_coarse = coarse_for_network(session.model, coarse);
     } else {
@@ -189,14 +201,14 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
     session.window = window_;
     const Subdivision subdivision = subdivision_of(session, coarse, [&] {
       if (!uses_network(session.detail)) return;
-      session.conversion = describe_conversion(owner_.addresses_, owner_.link_, session, [this] { return is_gone(); });
+      session.conversion = describe_conversion(owner_.addresses_, link_, session, [this] { return is_gone(); });
     });
 
     if (session.detail == v1::DETAIL_NONE) {
       session.upsampling = std::make_shared<const SmoothUpsampling>(coarse, subdivision);
     }
     EnhancementPipeline pipeline(
-        owner_.addresses_, owner_.link_, session, static_cast<std::size_t>(subdivision.fine.vertex_count()),
+        owner_.addresses_, link_, session, static_cast<std::size_t>(subdivision.fine.vertex_count()),
         topology_hash(subdivision.fine), [this](std::unique_ptr<PipelineFrame> frame) { answer(*frame); },
         [this] { pipeline_failed(); });
     const Attachment attachment(*this, pipeline);
@@ -210,6 +222,8 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
       record.coarse_vertices = static_cast<std::uint32_t>(coarse_vertices_);
       record.fine_vertices = static_cast<std::uint32_t>(subdivision.fine.vertex_count());
     });
+    spdlog::info("session {}: {} coarse and {} fine vertices, detail {}, from frame {}", feed_->record().id,
+                 coarse_vertices_, subdivision.fine.vertex_count(), name_of(session.detail), session.first_sequence);
     const SessionFeed::Opened opened(*feed_, [&] { return opened_event(open, subdivision); });
     take_frames(pipeline, open.frame_time_s() > 0 ? open.frame_time_s() : kDefaultFrameTime, session);
     pipeline.close();
@@ -426,6 +440,7 @@ class LiveSessions::Session : public std::enable_shared_from_this<Session> {
   };
 
   LiveSessions& owner_;
+  LinkOptions link_;  ///< with the session's trace
   const std::size_t turn_;
   std::shared_ptr<Reactor> reactor_;
   const std::shared_ptr<SessionFeed> feed_;
@@ -477,7 +492,8 @@ std::shared_ptr<SessionFeed> LiveSessions::feed(const std::string& id) const {
   throw_not_found("no live session '" + id + "'");
 }
 
-LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context, const std::string& client) {
+LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context, const std::string& client,
+                                           const telemetry::TraceContext& trace) {
   const std::lock_guard lock(mutex_);
   const grpc::Status admitted = rpc::guard([&] {
     if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
@@ -488,7 +504,7 @@ LiveSessions::Reactor* LiveSessions::start(grpc::CallbackServerContext* context,
     refused->refuse(admitted);
     return refused.get();
   }
-  auto session = std::make_shared<Session>(*this, context, started_++, client);
+  auto session = std::make_shared<Session>(*this, context, started_++, client, trace);
   sessions_.insert(session);
   Reactor* reactor = session->reactor();
   try {

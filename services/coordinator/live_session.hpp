@@ -40,8 +40,8 @@ class LiveSessions {
   /// Waits until the last session has ended; call drain() and stop the server first.
   ~LiveSessions();
 
-  /// The handler of one call. client: whose limits count.
-  Reactor* start(grpc::CallbackServerContext* context, const std::string& client);
+  /// The handler of one call. client: whose limits count; trace: what its work belongs to.
+  Reactor* start(grpc::CallbackServerContext* context, const std::string& client, const telemetry::TraceContext& trace);
 
   /// Whether another session would be admitted.
   bool has_room() const;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <grpcpp/channel.h>
+#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <atomic>
@@ -21,9 +22,11 @@
 #include "common/rpc/channel.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
+#include "common/rpc/trace.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "services/coordinator/backoff.hpp"
 #include "services/coordinator/pipeline_frame.hpp"
+#include "services/coordinator/replica_choice.hpp"
 #include "services/coordinator/replica_directory.hpp"
 #include "services/coordinator/stage_scheduler.hpp"
 
@@ -32,11 +35,13 @@ namespace pleat::coordinator {
 /// How to reach services, and how long to try.
 struct LinkOptions {
   std::function<std::shared_ptr<grpc::Channel>(const std::string& address)> connect;
-  std::chrono::milliseconds give_up{30'000};         ///< a service that is away this long fails its sessions
-  std::chrono::milliseconds open_timeout{60'000};    ///< for `opened`; maps and factorisations are made then
-  std::chrono::milliseconds answer_timeout{60'000};  ///< for one frame; afterwards the stream counts as broken
-  telemetry::Metrics* metrics = nullptr;             ///< may be null
-  std::shared_ptr<ReplicaDirectory> replicas = {};   ///< behind names; null: addresses are what they are
+  std::chrono::milliseconds give_up{30'000};               ///< a service that is away this long fails its sessions
+  std::chrono::milliseconds open_timeout{60'000};          ///< for `opened`; maps and factorisations are made then
+  std::chrono::milliseconds answer_timeout{60'000};        ///< for one frame; afterwards the stream counts as broken
+  telemetry::Metrics* metrics = nullptr;                   ///< may be null
+  std::shared_ptr<ReplicaDirectory> replicas = {};         ///< behind names; null: addresses are what they are
+  std::shared_ptr<const std::atomic<bool>> stopping = {};  ///< then what breaks off is not tried again; may be null
+  telemetry::TraceContext trace = {};                      ///< that all calls belong to
 };
 
 using rpc::may_pass;
@@ -138,7 +143,7 @@ class RemoteStage final : public Stage {
         callbacks_(std::move(callbacks)),
         outage_(options_.link.give_up),
         memory_(options_.memory),
-        turn_(options_.turn),
+        choice_(options_.link.replicas, options_.turn),
         scheduler_({.replicas = slot_count(), .window = options_.window}, options_.first_sequence, callbacks_.deliver,
                    callbacks_.drained),
         links_(slot_count()),
@@ -202,6 +207,7 @@ class RemoteStage final : public Stage {
     bool begun = false;            ///< a request was sent
     std::optional<Error> failure;  ///< of who sent in the sender's place
     std::atomic<int> in_flight{0};
+    std::shared_ptr<ReplicaLoad> load;  ///< of the replica; null: not known
   };
 
   /// A place for a replica, and the thread that serves it.
@@ -222,6 +228,7 @@ class RemoteStage final : public Stage {
     ~Window() {
       add(-static_cast<int>(options_.window));
       const int left = link_.in_flight.exchange(0);
+      if (link_.load) link_.load->frames -= left;
       if (options_.link.metrics != nullptr) options_.link.metrics->add_inflight(options_.stage, -left);
     }
     Window(const Window&) = delete;
@@ -294,15 +301,17 @@ class RemoteStage final : public Stage {
   }
 
   void run(std::size_t r) {
+    const telemetry::TraceScope trace(options_.link.trace);
     Backoff backoff;
     while (!scheduler_.finished()) {
       bool answered = false;
       if constexpr (Sequential<Rpc>) {
-        const std::vector<std::string> known = replicas();
-        slots_[r].address = known[turn_ % known.size()];
+        slots_[r].address = choice_.next(replicas());
       }
       const auto cause = session(r, answered);
       if (!cause || scheduler_.finished()) return;
+      if (answered)
+        spdlog::warn("stage {}: {}; what it has not answered goes elsewhere", options_.stage, cause->what());
       if (!may_pass(cause->code())) {
         callbacks_.failed(*cause);
         return;
@@ -319,12 +328,13 @@ class RemoteStage final : public Stage {
         refresh();
         if (left(r)) return;
       }
-      if (scheduler_.live() == 0 && outage_.too_long()) {
-        callbacks_.failed(outage_.gave_up(*cause));
+      const bool stopping = options_.link.stopping && *options_.link.stopping;
+      if (scheduler_.live() == 0 && (stopping || outage_.too_long())) {
+        callbacks_.failed(stopping ? *cause : outage_.gave_up(*cause));
         return;
       }
       if (options_.link.metrics != nullptr) options_.link.metrics->count("reconnects");
-      if constexpr (Sequential<Rpc>) ++turn_;
+      if (Sequential<Rpc> && answered) choice_.served();
       scheduler_.wait_finished(backoff.next());
     }
   }
@@ -332,21 +342,28 @@ class RemoteStage final : public Stage {
   /// One connection, from connecting to its end. Returns why it broke, or nothing if the stage is finished.
   std::optional<Error> session(std::size_t r, bool& answered) {
     try {
+      const auto load = options_.link.replicas ? options_.link.replicas->load_of(address(r)) : nullptr;
+      const LoadShare share(Sequential<Rpc> ? load : nullptr, &ReplicaLoad::sessions);
+      links_[r].load = load;
       // A new channel for each attempt: an old one waits by a schedule of its own before it connects again.
       const auto stub = Rpc::Service::NewStub(options_.link.connect(address(r)));
-      Stream stream([&](auto* context, auto* call) { Rpc::start(*stub, context, call); },
-                    {.peer = peer(r),
-                     .window = options_.window,
-                     .open_timeout = options_.link.open_timeout,
-                     .frame_timeout = options_.link.answer_timeout,
-                     .same_host = rpc::is_unix_address(address(r))});
+      Stream stream(
+          [&](auto* context, auto* call) {
+            rpc::add_trace(*context, options_.link.trace);
+            Rpc::start(*stub, context, call);
+          },
+          {.peer = peer(r),
+           .window = options_.window,
+           .open_timeout = options_.link.open_timeout,
+           .frame_timeout = options_.link.answer_timeout,
+           .same_host = rpc::is_unix_address(address(r))});
       const Registration registration(*this, r, stream);
       const auto opened = stream.open(options_.open);
       const auto since = Clock::now();
       if (!accept(r, opened)) return std::nullopt;
       links_[r].begun = false;
       const Window window(options_, links_[r]);
-      scheduler_.connected(r);
+      scheduler_.connected(r, load ? std::shared_ptr<const std::atomic<int>>(load, &load->frames) : nullptr);
       auto cause = exchange(r, stream, answered);
       // A stream that served, or that idled for a while, was no failed attempt: the outage begins now.
       if (answered || Clock::now() - since > std::chrono::seconds(1)) outage_.serves();
@@ -376,6 +393,7 @@ class RemoteStage final : public Stage {
     }
     link.begun = true;
     ++link.in_flight;
+    if (link.load) ++link.load->frames;
     if (options_.link.metrics != nullptr) options_.link.metrics->add_inflight(options_.stage, 1);
     link.stream->push(static_cast<const Request&>(*work));
   }
@@ -406,6 +424,7 @@ class RemoteStage final : public Stage {
     std::condition_variable ended;
     bool reading = true;
     std::thread reader([&] {
+      const telemetry::TraceScope trace(options_.link.trace);
       try {
         receive(r, stream, answered);
       } catch (const Error& e) {
@@ -467,6 +486,7 @@ class RemoteStage final : public Stage {
         frame->fail(response.error().code(), options_.stage + ": " + response.error().message());
       }
       --links_[r].in_flight;
+      if (links_[r].load) --links_[r].load->frames;
       if (options_.link.metrics != nullptr) {
         options_.link.metrics->add_inflight(options_.stage, -1);
         options_.link.metrics->frame_done(options_.stage, round_trip.count(), !frame->error.has_value());
@@ -500,7 +520,7 @@ class RemoteStage final : public Stage {
   Outage outage_;
   /// Of the last frame that was answered; read before the first request of a stream is sent, written after that.
   MemoryPtr memory_;
-  std::size_t turn_;  ///< of a sequential stage, through the replicas
+  ReplicaChoice choice_;  ///< of a sequential stage
   Scheduler scheduler_;
   std::mutex mutex_;
   bool joining_ = false;

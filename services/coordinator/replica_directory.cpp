@@ -99,6 +99,13 @@ std::string ReplicaDirectory::name_of(const std::string& address) const {
   return found == name_of_.end() ? "" : found->second;
 }
 
+std::shared_ptr<ReplicaLoad> ReplicaDirectory::load_of(const std::string& address) {
+  const std::lock_guard lock(mutex_);
+  std::shared_ptr<ReplicaLoad>& load = loads_[address];
+  if (!load) load = std::make_shared<ReplicaLoad>();
+  return load;
+}
+
 void ReplicaDirectory::resolve(const std::string& configured, Name name) {
   std::vector<std::string> found;
   try {

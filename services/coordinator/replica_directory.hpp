@@ -19,6 +19,30 @@ namespace pleat::coordinator {
 /// replica is there twice. Throws kUnavailable if it has none. May take the resolver's time-out.
 std::vector<std::string> resolve_host(const std::string& host, const std::string& port);
 
+/// What of this coordinator's work lies with a replica, of all its jobs and live sessions.
+struct ReplicaLoad {
+  std::atomic<int> frames{0};    ///< in flight
+  std::atomic<int> sessions{0};  ///< that stay in it: of the simulation, and of stages whose frames follow each other
+};
+
+/// One more frame or session, while it lives.
+class LoadShare {
+ public:
+  LoadShare(std::shared_ptr<ReplicaLoad> load, std::atomic<int> ReplicaLoad::*what)
+      : load_(std::move(load)), what_(what) {
+    if (load_) ++(*load_.*what_);
+  }
+  ~LoadShare() {
+    if (load_) --(*load_.*what_);
+  }
+  LoadShare(const LoadShare&) = delete;
+  LoadShare& operator=(const LoadShare&) = delete;
+
+ private:
+  const std::shared_ptr<ReplicaLoad> load_;
+  std::atomic<int> ReplicaLoad::*const what_;
+};
+
 /// What stands for several replicas is `dns:///NAME:PORT`: a headless service. Other addresses, and localhost, are
 /// themselves. A name that does not resolve keeps the replicas that it had, and is itself if it had none. Thread-safe.
 class ReplicaDirectory {
@@ -40,6 +64,8 @@ class ReplicaDirectory {
   std::size_t turn() { return turn_++; }
   /// The name that a replica was found behind, for its certificate; empty for other addresses.
   std::string name_of(const std::string& address) const;
+  /// The one of this address, whoever asks.
+  std::shared_ptr<ReplicaLoad> load_of(const std::string& address);
 
  private:
   struct Name {
@@ -60,6 +86,7 @@ class ReplicaDirectory {
   bool stopping_ = false;
   std::map<std::string, Name> names_;           ///< by configured address
   std::map<std::string, std::string> name_of_;  ///< by replica
+  std::map<std::string, std::shared_ptr<ReplicaLoad>> loads_;
   std::thread looking_;
 };
 

@@ -31,7 +31,8 @@ std::chrono::milliseconds milliseconds_of(double seconds, const std::string& opt
   return std::chrono::milliseconds(std::llround(seconds * 1e3));
 }
 
-LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metrics) {
+LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metrics,
+                    std::shared_ptr<const std::atomic<bool>> stopping) {
   LinkOptions link;
   link.replicas = std::make_shared<ReplicaDirectory>();
   link.connect = [tls = options.service_tls, replicas = link.replicas](const std::string& address) {
@@ -43,6 +44,7 @@ LinkOptions link_of(const CoordinatorOptions& options, telemetry::Metrics* metri
   link.give_up = milliseconds_of(options.give_up_s, "give-up-s");
   link.open_timeout = link.answer_timeout = milliseconds_of(options.answer_timeout_s, "answer-timeout-s");
   link.metrics = metrics;
+  link.stopping = std::move(stopping);
   return link;
 }
 
@@ -83,8 +85,9 @@ v1::Job::State to_message(JobState state) {
 CoordinatorService::CoordinatorService(const CoordinatorOptions& options, telemetry::Metrics* metrics)
     : callers_(options.token_file),
       table_(options.data),
-      runner_(table_, addresses_of(options), link_of(options, metrics), checked(options.jobs)),
-      live_(addresses_of(options), link_of(options, metrics), checked(options.live)),
+      link_(link_of(options, metrics, draining_)),
+      runner_(table_, addresses_of(options), link_, checked(options.jobs)),
+      live_(addresses_of(options), link_, checked(options.live)),
       metrics_(metrics),
       reader_timeout_(milliseconds_of(options.live.reader_timeout_s, "reader-timeout-s")),
       watcher_quota_("watchers of jobs", options.max_watchers, options.max_watchers_each),
@@ -96,9 +99,11 @@ CoordinatorService::CoordinatorService(const CoordinatorOptions& options, teleme
 grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v1::CreateJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceContext trace = rpc::trace_of(*context);
+    const telemetry::TraceScope scope(trace);
     const rpc::Caller caller = callers_.identify(*context);
     require_maker(caller, "make jobs");
-    const JobRecord record = runner_.create(*request, caller.name);
+    const JobRecord record = runner_.create(*request, caller.name, trace);
     audit(caller, record, "created (" + std::to_string(record.frames) + " frames of '" + record.scene_name + "')");
     *job = to_job(record);
   });
@@ -107,6 +112,8 @@ grpc::Status CoordinatorService::CreateJob(grpc::ServerContext* context, const v
 grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
                                                   grpc::ServerReader<v1::CreateJobPart>* reader, v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceContext trace = rpc::trace_of(*context);
+    const telemetry::TraceScope scope(trace);
     const rpc::Caller caller = callers_.identify(*context);
     require_maker(caller, "make jobs");
     {
@@ -117,7 +124,7 @@ grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
       const std::lock_guard lock(uploads_mutex_);
       upload_quota_.leave(caller.name);
     });
-    const JobRecord record = receive_job(*context, *reader, caller.name);
+    const JobRecord record = receive_job(*context, *reader, caller.name, trace);
     audit(caller, record,
           "created in parts (" + std::to_string(record.frames) + " frames of '" + record.scene_name + "')");
     *job = to_job(record);
@@ -125,10 +132,10 @@ grpc::Status CoordinatorService::CreateJobInParts(grpc::ServerContext* context,
 }
 
 JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader,
-                                          const std::string& owner) {
+                                          const std::string& owner, const telemetry::TraceContext& trace) {
   SilenceWatch silence(context, idle_timeout_);
   const auto read = [&](v1::CreateJobPart& part) {
-    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    if (*draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
     return silence.during([&] { return reader.Read(&part); });
   };
   v1::CreateJobPart part;
@@ -142,12 +149,13 @@ JobRecord CoordinatorService::receive_job(grpc::ServerContext& context, grpc::Se
   }
   part.Clear();
   if (read(part)) throw_invalid_argument("no more parts than the scene announces may follow");
-  return runner_.create(std::move(request), owner);
+  return runner_.create(std::move(request), owner, trace);
 }
 
 grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v1::CancelJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     require_owner(caller, table_.get(request->id()));
     const JobRecord record = runner_.cancel(request->id());
@@ -159,6 +167,7 @@ grpc::Status CoordinatorService::CancelJob(grpc::ServerContext* context, const v
 grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1::ListJobsRequest* request,
                                           v1::ListJobsResponse* response) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     if (request->live_sessions()) {
       for (const auto& feed : live_.feeds()) {
@@ -174,6 +183,7 @@ grpc::Status CoordinatorService::ListJobs(grpc::ServerContext* context, const v1
 
 grpc::Status CoordinatorService::GetJob(grpc::ServerContext* context, const v1::GetJobRequest* request, v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     const JobRecord record = record_of(request->id());
     require_reader(caller, record);
@@ -184,6 +194,7 @@ grpc::Status CoordinatorService::GetJob(grpc::ServerContext* context, const v1::
 grpc::Status CoordinatorService::RemoveJob(grpc::ServerContext* context, const v1::RemoveJobRequest* request,
                                            v1::Job* job) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const rpc::Caller caller = callers_.identify(*context);
     const JobRecord record = table_.get(request->id());
     require_owner(caller, record);
@@ -197,9 +208,10 @@ grpc::Status CoordinatorService::RemoveJob(grpc::ServerContext* context, const v
 grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* CoordinatorService::Enhance(
     grpc::CallbackServerContext* context) {
   try {
+    const telemetry::TraceContext trace = rpc::trace_of(*context);
     const rpc::Caller caller = callers_.identify(*context);
     require_maker(caller, "open live sessions");
-    return live_.start(context, caller.name);
+    return live_.start(context, caller.name, trace);
   } catch (...) {
     const auto refused = LiveSessions::Reactor::make(context);
     refused->refuse(rpc::current_exception_status());
@@ -207,7 +219,7 @@ grpc::ServerBidiReactor<v1::EnhanceRequest, v1::EnhanceResponse>* CoordinatorSer
   }
 }
 
-bool CoordinatorService::has_room() const { return !draining_ && live_.has_room() && !runner_.full(); }
+bool CoordinatorService::has_room() const { return !*draining_ && live_.has_room() && !runner_.full(); }
 
 CoordinatorService::~CoordinatorService() {
   std::unique_lock lock(watchers_mutex_);
@@ -215,7 +227,7 @@ CoordinatorService::~CoordinatorService() {
 }
 
 void CoordinatorService::drain() {
-  draining_ = true;
+  *draining_ = true;
   {
     const std::lock_guard lock(watchers_mutex_);
     for (const auto& watcher : watchers_) watcher->interrupt();
@@ -238,7 +250,7 @@ class CoordinatorService::Watcher {
     if (!send_progress(record)) return false;
     while (true) {
       if (writer_.gone()) return false;
-      if (service_.draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+      if (*service_.draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
       // Frames before the end: what is complete now stays readable, whatever becomes of the job.
       if (request_.include_frames() && !send_frames(record.frames_complete)) return false;
       if (has_ended(record.state)) return true;
@@ -318,7 +330,7 @@ grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::Callb
   const grpc::Status admitted = rpc::guard([&] {
     caller = callers_.identify(*context);
     require_reader(caller, record_of(asked->id()));
-    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    if (*draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
     watcher_quota_.enter(caller.name);
   });
   if (!admitted.ok()) {
@@ -327,7 +339,10 @@ grpc::ServerWriteReactor<v1::JobEvent>* CoordinatorService::WatchJob(grpc::Callb
   }
   watchers_.insert(writer);
   try {
-    std::thread([this, writer, caller, request = *asked] { watch(*writer, caller, request); }).detach();
+    std::thread([this, writer, caller, request = *asked, trace = rpc::trace_of(*context)] {
+      const telemetry::TraceScope scope(trace);
+      watch(*writer, caller, request);
+    }).detach();
   } catch (const std::system_error&) {
     watcher_quota_.leave(caller.name);
     watchers_.erase(writer);
@@ -363,7 +378,7 @@ bool CoordinatorService::watch_session(EventWriter& writer, const v1::WatchJobRe
     const SessionFeed::News news = feed->wait(revision, std::chrono::milliseconds(250));
     revision = news.revision;
     if (writer.gone()) return false;
-    if (draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
+    if (*draining_) throw Error(ErrorCode::kUnavailable, "the coordinator is stopping");
     if (request.include_frames() && news.opened && !opened) {
       if (!writer.write(*news.opened, reader_timeout_)) return false;
       opened = true;
@@ -420,6 +435,7 @@ v1::Job CoordinatorService::to_job(const JobRecord& record) const {
   job.set_created_s(record.created_s);
   job.set_ended_s(record.ended_s);
   job.set_bytes(record.bytes);
+  job.set_trace_id(record.trace.trace_id);
   return job;
 }
 

@@ -53,16 +53,17 @@ class CoordinatorService final : public v1::Coordinator::WithCallbackMethod_Enha
   class Watcher;
 
   JobRecord receive_job(grpc::ServerContext& context, grpc::ServerReader<v1::CreateJobPart>& reader,
-                        const std::string& owner);
+                        const std::string& owner, const telemetry::TraceContext& trace);
   void watch(EventWriter& writer, const rpc::Caller& caller, const v1::WatchJobRequest& request);
   bool watch_session(EventWriter& writer, const v1::WatchJobRequest& request);
   /// Of a job or live session. Throws kNotFound.
   JobRecord record_of(const std::string& id) const;
   v1::Job to_job(const JobRecord& record) const;
 
-  std::atomic<bool> draining_{false};
+  const std::shared_ptr<std::atomic<bool>> draining_ = std::make_shared<std::atomic<bool>>(false);
   const rpc::Callers callers_;
   JobTable table_;
+  const LinkOptions link_;  ///< one for all, so that placement knows of all frames and sessions
   JobRunner runner_;
   LiveSessions live_;
   telemetry::Metrics* const metrics_;

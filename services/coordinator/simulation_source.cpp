@@ -1,10 +1,15 @@
 #include "services/coordinator/simulation_source.hpp"
 
+#include <spdlog/spdlog.h>
+
 #include <utility>
 
 namespace pleat::coordinator {
 
 struct SimulationSource::Connection {
+  explicit Connection(std::shared_ptr<ReplicaLoad> load) : share(std::move(load), &ReplicaLoad::sessions) {}
+
+  const LoadShare share;
   std::unique_ptr<v1::Simulation::Stub> stub;
   std::unique_ptr<Stream> stream;
 };
@@ -12,7 +17,7 @@ struct SimulationSource::Connection {
 SimulationSource::SimulationSource(Options options)
     : options_(std::move(options)),
       outage_(options_.link.give_up),
-      turn_(options_.link.replicas ? options_.link.replicas->turn() : 0) {}
+      choice_(options_.link.replicas, options_.link.replicas ? options_.link.replicas->turn() : 0) {}
 
 SimulationSource::~SimulationSource() = default;
 
@@ -58,17 +63,20 @@ void SimulationSource::cancel() {
 std::string SimulationSource::peer() const { return "simulation at " + address_; }
 
 v1::SimulateOpened SimulationSource::connect() {
-  const std::vector<std::string> replicas = replicas_behind(options_.link.replicas, options_.addresses);
-  address_ = replicas[turn_ % replicas.size()];
-  auto fresh = std::make_unique<Connection>();
+  address_ = choice_.next(replicas_behind(options_.link.replicas, options_.addresses));
+  auto fresh =
+      std::make_unique<Connection>(options_.link.replicas ? options_.link.replicas->load_of(address_) : nullptr);
   fresh->stub = v1::Simulation::NewStub(options_.link.connect(address_));
-  fresh->stream =
-      std::make_unique<Stream>([&](auto* context, auto* call) { fresh->stub->async()->Simulate(context, call); },
-                               rpc::FrameStreamOptions{.peer = peer(),
-                                                       .window = options_.window,
-                                                       .open_timeout = options_.link.open_timeout,
-                                                       .frame_timeout = options_.link.answer_timeout,
-                                                       .server_driven = true});
+  fresh->stream = std::make_unique<Stream>(
+      [&](auto* context, auto* call) {
+        rpc::add_trace(*context, options_.link.trace);
+        fresh->stub->async()->Simulate(context, call);
+      },
+      rpc::FrameStreamOptions{.peer = peer(),
+                              .window = options_.window,
+                              .open_timeout = options_.link.open_timeout,
+                              .frame_timeout = options_.link.answer_timeout,
+                              .server_driven = true});
   {
     const std::lock_guard lock(mutex_);
     connection_ = std::move(fresh);
@@ -100,8 +108,9 @@ void SimulationSource::retry_after(const Error& cause) {
   broken.reset();
   if (!may_pass(cause.code())) throw cause;
   if (outage_.too_long()) throw outage_.gave_up(cause);
+  if (received_) spdlog::warn("{}; goes on elsewhere behind frame {}", cause.what(), next_index_);
+  received_ = false;
   if (options_.link.metrics != nullptr) options_.link.metrics->count("reconnects");
-  ++turn_;
   std::unique_lock lock(mutex_);
   changed_.wait_for(lock, backoff_.next(), [this] { return cancelled_; });
 }
@@ -130,6 +139,8 @@ void SimulationSource::receive(const Take& take) {
       ++next_index_;
       outage_.serves();
       backoff_.reset();
+      choice_.served();
+      received_ = true;
     }
     if (next_index_ < options_.scene.frames()) {
       acknowledgement.set_ack_index(index);

@@ -58,13 +58,14 @@ class SimulationSource {
   Options options_;
   Outage outage_;
   Backoff backoff_;
-  std::size_t turn_;     ///< through the replicas
+  ReplicaChoice choice_;
   std::string address_;  ///< of the one that is asked
   std::uint64_t next_index_ = 0;
   std::unique_ptr<Connection> connection_;
   std::mutex mutex_;  ///< guards the pointer above and the flag
   std::condition_variable changed_;
   bool cancelled_ = false;
+  bool received_ = false;  ///< a frame from the replica that is asked
 };
 
 }  // namespace pleat::coordinator

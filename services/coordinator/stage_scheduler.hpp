@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -61,8 +62,8 @@ class StageScheduler {
       const bool first = pending_.empty();
       pending_.emplace(sequence, Entry{std::move(item)});
       if (direct != nullptr && first) {
-        for (std::size_t r = 0; r < replicas_.size(); ++r) {
-          if (!may_take(r) || replicas_[r].sender_sends) continue;
+        const std::size_t r = chosen();
+        if (r != kNone && !replicas_[r].sender_sends) {
           *direct = {take_next(r), r};
           replicas_[r].other_sends = true;
           return true;
@@ -133,11 +134,15 @@ class StageScheduler {
     return changed_.wait_for(lock, time, [this] { return stopped_ || drained_; });
   }
 
-  /// A replica can take work from now on.
-  void connected(std::size_t replica) {
+  /// Items in flight at a replica, of everybody who sends to it.
+  using Load = std::shared_ptr<const std::atomic<int>>;
+
+  /// A replica can take work from now on. load: null where nobody else sends to it.
+  void connected(std::size_t replica, Load load = nullptr) {
     {
       const std::lock_guard lock(mutex_);
       replicas_[replica].live = true;
+      replicas_[replica].load = std::move(load);
     }
     changed_.notify_all();
   }
@@ -185,13 +190,13 @@ class StageScheduler {
     return replicas_[replica].live;
   }
 
-  /// The next work for a replica; waits until it has room, is the one with the least in flight, and work is there.
+  /// The next work for a replica; waits until it has room, is the one with the least load, and work is there.
   /// Null when the stage is finished, or the replica is not connected or has left. What was taken before is sent.
   Work take(std::size_t replica) {
     std::unique_lock lock(mutex_);
     Replica& taker = replicas_[replica];
     taker.sender_sends = false;
-    changed_.wait(lock, [&] { return ended(taker) || (!pending_.empty() && may_take(replica)); });
+    changed_.wait(lock, [&] { return ended(taker) || (!pending_.empty() && is_chosen(replica)); });
     if (ended(taker)) return nullptr;
     Work work = take_next(replica);
     taker.sender_sends = true;
@@ -281,6 +286,7 @@ class StageScheduler {
     bool sender_sends = false;  ///< what take() returned
     bool other_sends = false;   ///< what push() returned
     std::map<std::uint64_t, Entry> outstanding;
+    Load load;
   };
 
   bool wait_for_room(std::unique_lock<std::mutex>& lock) {
@@ -295,15 +301,38 @@ class StageScheduler {
            (replica.leaving && replica.outstanding.empty() && !replica.other_sends);
   }
 
-  /// Whether it has room, nobody sends to it in its sender's place, and it is the one with the least in flight.
-  bool may_take(std::size_t replica) const {
-    if (!replicas_[replica].live || replicas_[replica].leaving || replicas_[replica].other_sends) return false;
-    const std::size_t mine = replicas_[replica].outstanding.size();
-    if (mine >= limits_.window) return false;
-    for (const Replica& other : replicas_) {
-      if (other.live && !other.leaving && other.outstanding.size() < mine) return false;
+  static constexpr std::size_t kNone = ~std::size_t{0};
+
+  /// Whether it has room, and nobody sends to it in its sender's place.
+  bool may_take(const Replica& replica) const {
+    return replica.live && !replica.leaving && !replica.other_sends && replica.outstanding.size() < limits_.window;
+  }
+
+  /// Of those that may take, the replica with the least in flight; one whose sender sends only where no other waits,
+  /// because nobody knows how long that takes. A choice stays until an item is taken: the load changes at any time, and
+  /// all senders have to agree on who goes.
+  std::size_t chosen() {
+    if (chosen_ != kNone && may_take(replicas_[chosen_]) && !replicas_[chosen_].sender_sends) return chosen_;
+    chosen_ = kNone;
+    std::pair<bool, int> least;
+    for (std::size_t r = 0; r < replicas_.size(); ++r) {
+      const Replica& replica = replicas_[r];
+      if (!may_take(replica)) continue;
+      // What was taken last may not be counted yet.
+      const int mine = static_cast<int>(replica.outstanding.size()), all = replica.load ? replica.load->load() : 0;
+      const std::pair rank{replica.sender_sends, std::max(mine, all)};
+      if (chosen_ != kNone && !(rank < least)) continue;
+      chosen_ = r;
+      least = rank;
     }
-    return true;
+    return chosen_;
+  }
+
+  /// For a sender that waits; the one that was chosen may wait, too.
+  bool is_chosen(std::size_t replica) {
+    const std::size_t before = chosen_, now = chosen();
+    if (now != before && now != replica) changed_.notify_all();
+    return now == replica;
   }
 
   Work take_next(std::size_t replica) {
@@ -311,6 +340,7 @@ class StageScheduler {
     node.mapped().sent = Clock::now();
     Work work = node.mapped().item->work;
     replicas_[replica].outstanding.insert(std::move(node));
+    chosen_ = kNone;
     return work;
   }
 
@@ -331,6 +361,7 @@ class StageScheduler {
   const std::function<void()> on_drained_;
   std::vector<Replica> replicas_;
   std::size_t used_;
+  std::size_t chosen_ = kNone;  ///< for the next item
   std::map<std::uint64_t, Entry> pending_;
   std::map<std::uint64_t, ItemPtr> ready_;
   std::size_t inside_ = 0;

@@ -16,6 +16,6 @@ int main(int argc, char** argv) {
     pleat::telemetry::set_up_logging("fold", server.log);
     pleat::telemetry::Metrics metrics("fold");
     pleat::fold::FoldService service(fold, metrics);
-    return pleat::rpc::run_server(server, {{&service, "pleat.v1.Fold"}}, metrics);
+    return pleat::rpc::run_server(server, {{&service, "pleat.v1.Fold", [&] { service.drain(); }}}, metrics);
   });
 }

@@ -20,7 +20,7 @@ void FoldService::count(std::uint64_t index, const FoldReport& report) {
 grpc::Status FoldService::Fold(grpc::ServerContext* context,
                                grpc::ServerReaderWriter<v1::FoldResponse, v1::FoldRequest>* stream) {
   return rpc::serve_frames<v1::FoldRequest, v1::FoldResponse>(
-      context, stream, {"fold", &metrics_}, [this](const v1::FoldOpen& open, v1::FoldOpened* opened) {
+      context, stream, {"fold", &metrics_, &drain_}, [this](const v1::FoldOpen& open, v1::FoldOpened* opened) {
         const auto session = std::make_shared<Session>(open, options_);
         session->describe(opened);
         return [session, this](const v1::FoldFrame& request, v1::FoldedFrame* response) {

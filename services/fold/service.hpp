@@ -5,6 +5,7 @@
 
 #include <cstdint>
 
+#include "common/rpc/drain.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/fold.grpc.pb.h"
 #include "services/fold/session.hpp"
@@ -21,11 +22,15 @@ class FoldService final : public v1::Fold::Service {
   grpc::Status Fold(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::FoldResponse, v1::FoldRequest>* stream) override;
 
+  /// Streams end when what they have read is answered; new ones are refused. A client goes on in another replica.
+  void drain() { drain_.begin(); }
+
  private:
   void count(std::uint64_t index, const FoldReport& report);
 
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
+  rpc::Drain drain_;
 };
 
 }  // namespace pleat::fold

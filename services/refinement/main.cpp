@@ -18,6 +18,6 @@ int main(int argc, char** argv) {
     pleat::telemetry::set_up_logging("refinement", server.log);
     pleat::telemetry::Metrics metrics("refinement");
     pleat::refinement::RefinementService service(refinement, metrics);
-    return pleat::rpc::run_server(server, {{&service, "pleat.v1.Refinement"}}, metrics);
+    return pleat::rpc::run_server(server, {{&service, "pleat.v1.Refinement", [&] { service.drain(); }}}, metrics);
   });
 }

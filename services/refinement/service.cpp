@@ -19,7 +19,8 @@ void RefinementService::count(std::uint64_t index, const RefinementReport& repor
 grpc::Status RefinementService::Refine(grpc::ServerContext* context,
                                        grpc::ServerReaderWriter<v1::RefineResponse, v1::RefineRequest>* stream) {
   return rpc::serve_frames<v1::RefineRequest, v1::RefineResponse>(
-      context, stream, {"refinement", &metrics_}, [this](const v1::RefineOpen& open, v1::RefineOpened* opened) {
+      context, stream, {"refinement", &metrics_, &drain_},
+      [this](const v1::RefineOpen& open, v1::RefineOpened* opened) {
         const auto session = std::make_shared<Session>(open, options_);
         session->describe(opened);
         return [session, this](const v1::RefineFrame& request, v1::RefinedFrame* response) {

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 
+#include "common/rpc/drain.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/refinement.grpc.pb.h"
 #include "services/refinement/session.hpp"
@@ -22,11 +23,15 @@ class RefinementService final : public v1::Refinement::Service {
   grpc::Status Refine(grpc::ServerContext* context,
                       grpc::ServerReaderWriter<v1::RefineResponse, v1::RefineRequest>* stream) override;
 
+  /// Streams end when what they have read is answered; new ones are refused. A client goes on in another replica.
+  void drain() { drain_.begin(); }
+
  private:
   void count(std::uint64_t index, const RefinementReport& report);
 
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
+  rpc::Drain drain_;
 };
 
 }  // namespace pleat::refinement

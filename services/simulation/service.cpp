@@ -99,11 +99,13 @@ void fill(const SimulatedFrame& frame, v1::SimulatedFrame* message) {
 grpc::Status SimulationService::Simulate(grpc::ServerContext* context,
                                          grpc::ServerReaderWriter<v1::SimulateResponse, v1::SimulateRequest>* stream) {
   return rpc::guard([&]() -> grpc::Status {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     v1::SimulateRequest request;
     if (!stream->Read(&request)) return grpc::Status::OK;
     if (!request.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
     const std::uint32_t window = rpc::checked_window(request.open().window());
     const std::uint32_t interval = request.open().checkpoint_interval();
+    drain_.require_none();
     const rpc::detail::SessionCount session(&metrics_);
     receive_animations(*request.mutable_open()->mutable_scene(), *stream);
     Simulation simulation = open_session(request.open(), options_);
@@ -117,11 +119,11 @@ grpc::Status SimulationService::Simulate(grpc::ServerContext* context,
     v1::SimulateResponse response;
     describe(simulation, response.mutable_opened());
     if (!stream->Write(response)) return {grpc::StatusCode::CANCELLED, "the client has gone"};
-    rpc::PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(context, stream, window,
-                                                                       simulation.next_index());
+    rpc::PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(context, stream, window, simulation.next_index(),
+                                                                       &drain_);
 
     while (simulation.next_index() < frames && !writer.stopped() && !context->IsCancelled()) {
-      if (draining_) return {grpc::StatusCode::UNAVAILABLE, "the service is stopping"};
+      drain_.require_none();
       const SimulatedFrame frame = simulation.next_frame();
       for (const std::string& warning : frame.warnings) spdlog::warn("scene '{}': {}", name, warning);
       response.Clear();

@@ -3,10 +3,10 @@
 
 #include <grpcpp/grpcpp.h>
 
-#include <atomic>
 #include <cstdint>
 
 #include "common/base/limits.hpp"
+#include "common/rpc/drain.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/simulation.grpc.pb.h"
 
@@ -26,13 +26,14 @@ class SimulationService final : public v1::Simulation::Service {
   grpc::Status Simulate(grpc::ServerContext* context,
                         grpc::ServerReaderWriter<v1::SimulateResponse, v1::SimulateRequest>* stream) override;
 
-  /// Ends the sessions after their current frame with UNAVAILABLE: a client resumes elsewhere from its check-point.
-  void drain() { draining_ = true; }
+  /// Ends the sessions after their current frame with UNAVAILABLE, and refuses new ones: a client resumes elsewhere
+  /// from its check-point.
+  void drain() { drain_.begin(); }
 
  private:
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
-  std::atomic<bool> draining_{false};
+  rpc::Drain drain_;
 };
 
 }  // namespace pleat::simulation

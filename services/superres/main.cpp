@@ -23,6 +23,6 @@ int main(int argc, char** argv) {
     pleat::telemetry::set_up_logging("superres", server.log);
     pleat::telemetry::Metrics metrics("superres");
     pleat::superres::SuperResolutionService service(superres, metrics);
-    return pleat::rpc::run_server(server, {{&service, "pleat.v1.SuperResolution"}}, metrics);
+    return pleat::rpc::run_server(server, {{&service, "pleat.v1.SuperResolution", [&] { service.drain(); }}}, metrics);
   });
 }

@@ -151,9 +151,10 @@ void SuperResolutionService::describe(const std::string& name, const Metadata& m
   }
 }
 
-grpc::Status SuperResolutionService::ListModels(grpc::ServerContext*, const v1::ListModelsRequest*,
+grpc::Status SuperResolutionService::ListModels(grpc::ServerContext* context, const v1::ListModelsRequest*,
                                                 v1::ListModelsResponse* response) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     for (const std::string& name : list_bundles(options_.models)) {
       try {
         describe(name, read_metadata(options_.models, name), response->add_models());
@@ -166,9 +167,11 @@ grpc::Status SuperResolutionService::ListModels(grpc::ServerContext*, const v1::
   });
 }
 
-grpc::Status SuperResolutionService::DescribeModel(grpc::ServerContext*, const v1::DescribeModelRequest* request,
+grpc::Status SuperResolutionService::DescribeModel(grpc::ServerContext* context,
+                                                   const v1::DescribeModelRequest* request,
                                                    v1::ModelDescription* response) {
   return rpc::guard([&] {
+    const telemetry::TraceScope trace(rpc::trace_of(*context));
     const auto loaded = batcher(request->model());
     const std::string name = without_extension(request->model().empty() ? options_.model : request->model());
     describe(name, loaded->engine().describe(), response);
@@ -177,7 +180,7 @@ grpc::Status SuperResolutionService::DescribeModel(grpc::ServerContext*, const v
 
 grpc::Status SuperResolutionService::Upscale(
     grpc::ServerContext* context, grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) {
-  rpc::FrameServiceOptions options{"superres", &metrics_, kConcurrency};
+  rpc::FrameServiceOptions options{"superres", &metrics_, &drain_, kConcurrency};
   return rpc::serve_frames<v1::UpscaleRequest, v1::UpscaleResponse>(
       context, stream, options, [&](const v1::UpscaleOpen& open, v1::ModelDescription* opened) {
         auto loaded = batcher(open.model());
@@ -191,6 +194,7 @@ grpc::Status SuperResolutionService::Upscale(
         const bool enough = conversion::answer_form(loaded->engine().describe().representation).first_three;
         const int channels = open.displacement_only() && enough ? kPositionChannels : 0;
         const std::size_t remembered = memory_values(loaded->engine().describe());
+        spdlog::info("session: model {}, {}", opened->model(), opened->precision());
         // Read behind this: a frame begins when the one before has left what it is to remember.
         if (remembered > 0) options.concurrency = 1;
         const auto recall = remembered > 0 ? std::make_shared<StreamMemory>(remembered) : nullptr;

@@ -6,6 +6,7 @@
 #include <mutex>
 #include <string>
 
+#include "common/rpc/drain.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "pleat/v1/superres.grpc.pb.h"
 #include "services/superres/batcher.hpp"
@@ -35,6 +36,9 @@ class SuperResolutionService final : public v1::SuperResolution::Service {
   grpc::Status Upscale(grpc::ServerContext* context,
                        grpc::ServerReaderWriter<v1::UpscaleResponse, v1::UpscaleRequest>* stream) override;
 
+  /// Streams end when what they have read is answered; new ones are refused. A client goes on in another replica.
+  void drain() { drain_.begin(); }
+
  private:
   /// A bundle in memory and the file that it came from.
   struct Loaded {
@@ -51,6 +55,7 @@ class SuperResolutionService final : public v1::SuperResolution::Service {
 
   ServiceOptions options_;
   telemetry::Metrics& metrics_;
+  rpc::Drain drain_;
   std::mutex mutex_;
   std::map<std::string, Loaded> loaded_;
 };

@@ -16,12 +16,21 @@ namespace {
 
 using namespace std::chrono_literals;
 
+/// The stage whose name a process has or begins with; else it is a coordinator.
+std::string kind_of(const std::string& service) {
+  for (const std::string& stage : ServiceProcesses::stages()) {
+    if (service == stage || service.starts_with(stage + "-")) return stage;
+  }
+  return "coordinator";
+}
+
 std::string health_name(const std::string& service) {
-  if (service == "simulation") return "pleat.v1.Simulation";
-  if (service == "conversion") return "pleat.v1.Conversion";
-  if (service == "superres") return "pleat.v1.SuperResolution";
-  if (service == "fold") return "pleat.v1.Fold";
-  if (service == "refinement") return "pleat.v1.Refinement";
+  const std::string kind = kind_of(service);
+  if (kind == "simulation") return "pleat.v1.Simulation";
+  if (kind == "conversion") return "pleat.v1.Conversion";
+  if (kind == "superres") return "pleat.v1.SuperResolution";
+  if (kind == "fold") return "pleat.v1.Fold";
+  if (kind == "refinement") return "pleat.v1.Refinement";
   return "pleat.v1.Coordinator";
 }
 
@@ -54,10 +63,8 @@ ServiceProcesses::ServiceProcesses() : executables_(environment_path("PLEAT_BINA
 }
 
 void ServiceProcesses::start(const std::string& service) {
-  const bool coordinator = health_name(service) == "pleat.v1.Coordinator";
-  running_.insert_or_assign(service,
-                            ChildProcess(executables_ / (coordinator ? "pleat-coordinator" : "pleat-" + service),
-                                         arguments_.at(service), folder_.path() / (service + ".log")));
+  running_.insert_or_assign(service, ChildProcess(executables_ / ("pleat-" + kind_of(service)), arguments_.at(service),
+                                                  folder_.path() / (service + ".log")));
 }
 
 void ServiceProcesses::wait_until_healthy(const std::string& service) {
@@ -99,6 +106,13 @@ std::string ServiceProcesses::terminate(const std::string& service) {
   return running_.at(service).end_reason();
 }
 
+void ServiceProcesses::start_replica(const std::string& name) {
+  arguments_[name] = arguments_.at(kind_of(name));
+  arguments_[name][1] = address(name);  // of --listen
+  arguments_[name].insert(arguments_[name].end(), {"--drain-s", "600"});
+  start(name);
+}
+
 void ServiceProcesses::start_coordinator(const std::string& name, const std::map<std::string, std::string>& options) {
   arguments_[name] = {"--listen", address(name), "--die-with-parent", "--data",
                       (folder_.path() / (name + "-data")).string()};
@@ -132,6 +146,12 @@ int ServiceProcesses::connections(const std::string& service) const {
 
 std::string ServiceProcesses::log(const std::string& service) const {
   return last_lines(folder_.path() / (service + ".log"), 5);
+}
+
+std::string ServiceProcesses::whole_log(const std::string& service) const {
+  std::ostringstream text;
+  text << std::ifstream(folder_.path() / (service + ".log")).rdbuf();
+  return text.str();
 }
 
 }  // namespace pleat::testing

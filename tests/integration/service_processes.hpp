@@ -30,6 +30,9 @@ class ServiceProcesses {
   /// SIGTERM; returns how it ended.
   std::string terminate(const std::string& service);
 
+  /// One more process of a stage, under a name that begins with it ("fold-2"); started, not yet healthy. It drains for
+  /// as long as it takes: ends only by itself.
+  void start_replica(const std::string& name);
   /// One more coordinator with other options, under the name; started and healthy.
   void start_coordinator(const std::string& name, const std::map<std::string, std::string>& options);
   std::unique_ptr<v1::Coordinator::Stub> client(const std::string& coordinator = "coordinator") const;
@@ -39,6 +42,8 @@ class ServiceProcesses {
   int connections(const std::string& service) const;
   /// The end of the service's log, for messages.
   std::string log(const std::string& service) const;
+  /// All that it has logged since the first start.
+  std::string whole_log(const std::string& service) const;
 
   const std::filesystem::path& folder() const { return folder_.path(); }
 

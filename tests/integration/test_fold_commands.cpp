@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 #include "common/store/result.hpp"
 #include "tests/support/executable.hpp"
@@ -77,6 +78,29 @@ TEST_F(FoldCommands, NeedNoBundle) {
   const float differ =
       (ours.enhanced(kFrames - 1, kFrames)[0] - theirs.enhanced(kFrames - 1, kFrames)[0]).cwiseAbs().maxCoeff();
   EXPECT_LT(differ, 2e-2F) << "velocities are differences of rounded positions: almost the same frame";
+}
+
+TEST_F(FoldCommands, TakeTheTraceOfTheEnvironment) {
+  const std::string id = "4bf92f3577b34da6a3ce929d0e0e4736", scene = (source_ / "deploy/scenes/draping.json").string();
+  const auto verbose = [&](const std::string& out, const std::string& traceparent) {
+    return run(built("pleat"),
+               {"run", scene, "--frames", "2", "--detail", "fold", "--verbose", "--out", (folder_ / out).string()},
+               folder_ / (out + "-outcome"), {{"TRACEPARENT", traceparent}});
+  };
+  const Outcome outcome = verbose("traced", "00-" + id + "-00f067aa0ba902b7-01");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
+  EXPECT_NE(outcome.err.find("trace " + id + " of $TRACEPARENT"), std::string::npos) << outcome.err;
+  for (const char* service : {"coordinator", "simulation", "fold", "refinement"}) {
+    std::ostringstream log;
+    log << std::ifstream(folder_ / "traced" / "logs" / (std::string(service) + ".log")).rdbuf();
+    EXPECT_NE(log.str().find("trace=" + id), std::string::npos) << service << ": " << log.str();
+  }
+  const Outcome made = verbose("untraced", "00-" + std::string(32, '0') + "-00f067aa0ba902b7-01");
+  ASSERT_EQ(made.exit_code, 0) << made.err;
+  EXPECT_NE(made.err.find("trace "), std::string::npos) << made.err;
+  EXPECT_EQ(made.err.find("$TRACEPARENT"), std::string::npos) << "an invalid one counts for nothing: " << made.err;
+  const ResultReader a(folder_ / "traced" / "result.h5"), b(folder_ / "untraced" / "result.h5");
+  EXPECT_EQ(a.enhanced(1, 2)[0], b.enhanced(1, 2)[0]) << "the bits don't depend on it";
 }
 
 TEST_F(FoldCommands, ALookBeforeTraining) {

@@ -27,6 +27,7 @@ os.environ.pop("PLEAT_COORDINATOR", None)
 import numpy as np  # noqa: E402
 
 import pleat  # noqa: E402
+from pleat.v1 import coordinator_pb2  # noqa: E402
 
 GARMENT = pleat.read_obj(SOURCE / "deploy/garments/tablecloth.obj")
 
@@ -74,6 +75,14 @@ class Package(unittest.TestCase):
                     subprocess.run(["pkill", "-KILL", "-P", str(self.client._services._process.pid), "-f", "pleat-coordinator"],
                                    check=True)
         np.testing.assert_array_equal(np.stack(frames), undisturbed)
+
+    def test_a_session_belongs_to_the_trace_that_is_given(self):
+        trace = "4bf92f3577b34da6a3ce929d0e0e4736"
+        with pleat.connect(self.client.address, traceparent=f"00-{trace}-00f067aa0ba902b7-01") as client:
+            with client.session(GARMENT, detail="fold"):
+                request = coordinator_pb2.ListJobsRequest(live_sessions=True)
+                jobs = client._stub.ListJobs(request, timeout=30).jobs
+                self.assertIn(trace, [job.trace_id for job in jobs])
 
     def test_frames_are_read_as_the_window_allows(self):
         read = []

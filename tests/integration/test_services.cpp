@@ -5,7 +5,9 @@
 #include <atomic>
 #include <cstring>
 #include <functional>
+#include <map>
 #include <set>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -318,6 +320,148 @@ TEST_F(ServicesTest, ALiveSessionOutlivesAKilledCoordinatorWithTheSameBits) {
     EXPECT_EQ(enhance({3, 31}), undisturbed) << logs();
   }
   processes_->wait_until_healthy("coordinator");
+}
+
+/// One id in the logs of all six processes, before and after a kill of the coordinator.
+TEST_F(ServicesTest, ATraceIsInTheLogsOfAllServices) {
+  const std::string id = "4bf92f3577b34da6a3ce929d0e0e4736";
+  const auto lines = [&](const std::string& service, const std::string& trace) {
+    const std::string log = processes_->whole_log(service);
+    int count = 0;
+    for (std::size_t at = log.find("trace=" + trace); at != std::string::npos; at = log.find(trace, at + 1)) ++count;
+    return count;
+  };
+  v1::CreateJobRequest request;
+  *request.mutable_scene() = scene_;
+  request.set_frames(4 * kFrames);
+  request.set_detail(v1::DETAIL_BOTH);
+  request.set_job_id("traced");
+  {
+    const client::Client client(processes_->address("coordinator"), {}, "00-" + id + "-00f067aa0ba902b7-01");
+    EXPECT_EQ(client.create_job(request).trace_id(), id);
+  }
+  ASSERT_TRUE(eventually([] { return get("traced").frames_complete() >= 4; })) << logs();
+  const std::vector<std::string> stages = ServiceProcesses::stages();
+  for (const std::string& stage : stages) EXPECT_GT(lines(stage, id), 0) << stage << ": " << processes_->log(stage);
+  const int before = lines("coordinator", id);
+  EXPECT_GT(before, 0);
+  processes_->kill("coordinator");
+  processes_->start("coordinator");
+  processes_->wait_until_healthy("coordinator");
+  const v1::Job job = finished("traced");
+  EXPECT_EQ(job.state(), v1::Job::STATE_DONE) << job.error();
+  EXPECT_EQ(job.trace_id(), id);
+  EXPECT_TRUE(eventually([&] { return lines("coordinator", id) > before; })) << logs();
+
+  // A live session, of a client that says nothing: the coordinator makes one.
+  const client::Client client(processes_->address("coordinator"));
+  const client::EnhanceSession session =
+      client.enhance({.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = v1::DETAIL_BOTH});
+  std::string made;
+  for (const v1::Job& live : client.list_jobs(true)) {
+    if (live.id().starts_with("live:")) made = live.trace_id();
+  }
+  ASSERT_EQ(made.size(), id.size());
+  EXPECT_NE(made, id);
+  for (const std::string& stage : stages) {
+    if (stage != "simulation") EXPECT_GT(lines(stage, made), 0) << stage << ": " << processes_->log(stage);
+  }
+  EXPECT_GT(lines("coordinator", made), 0) << processes_->log("coordinator");
+}
+
+/// Every stage has two replicas, and each of them is told to stop while a job and a live session are at work.
+class DrainTest : public ServicesTest {
+ protected:
+  static constexpr const char* kCoordinator = "pair";
+  static constexpr std::uint32_t kLong = 4 * kFrames;
+
+  static void start_pair() {
+    std::map<std::string, std::string> links;
+    for (const std::string& stage : ServiceProcesses::stages()) {
+      for (const char* replica : {"-1", "-2"}) processes_->start_replica(stage + replica);
+    }
+    for (const std::string& stage : ServiceProcesses::stages()) {
+      for (const char* replica : {"-1", "-2"}) processes_->wait_until_healthy(stage + replica);
+      links[stage] = processes_->address(stage + "-1") + "," + processes_->address(stage + "-2");
+    }
+    processes_->start_coordinator(kCoordinator, links);
+  }
+
+  static v1::Job get_of(v1::Coordinator::Stub& stub, const std::string& id) {
+    grpc::ClientContext context;
+    v1::GetJobRequest request;
+    request.set_id(id);
+    v1::Job job;
+    const grpc::Status status = stub.GetJob(&context, request, &job);
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return job;
+  }
+
+  /// The answers of a live session; `at` is called behind each.
+  static std::vector<std::vector<float>> enhance(const client::Client& client, const ResultReader& made,
+                                                 const std::function<void(std::uint64_t)>& at) {
+    client::EnhanceSession session = client.enhance(
+        {.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = v1::DETAIL_BOTH, .patience = 0s});
+    std::vector<std::vector<float>> fine;
+    session.run(
+        kFrames,
+        [&](std::uint64_t k) {
+          client::CoarseFrame frame;
+          frame.index = k;
+          frame.time_s = 0.04 * static_cast<double>(k);
+          const Positions coarse = made.coarse(k, k + 1)[0];
+          frame.positions.assign(coarse.data(), coarse.data() + coarse.size());
+          return frame;
+        },
+        [&](const client::EnhancedFrame& answer, const client::CoarseFrame&) {
+          EXPECT_FALSE(answer.error) << answer.error->what();
+          EXPECT_EQ(answer.index, fine.size());
+          fine.push_back(answer.positions);
+          at(answer.index);
+        });
+    return fine;
+  }
+};
+
+TEST_F(DrainTest, AReplicaThatIsToldToStopLosesNoFrame) {
+  start_pair();
+  const auto stub = processes_->client(kCoordinator);
+  const client::Client client(processes_->address(kCoordinator));
+  create("undrained", kLong, false, stub.get(), v1::DETAIL_BOTH);
+  const v1::Job undrained = finished("undrained", stub.get());
+  ASSERT_EQ(undrained.state(), v1::Job::STATE_DONE) << undrained.error();
+  const ResultReader made(undrained.result_path());
+  const auto undisturbed = enhance(client, made, [](std::uint64_t) {});
+  ASSERT_EQ(undisturbed.size(), kFrames);
+
+  for (const std::string& stage : ServiceProcesses::stages()) {
+    bool met = false;
+    for (int attempt = 0; attempt < 20 && !met; ++attempt) {
+      const std::string id = "drained-" + stage + "-" + std::to_string(attempt);
+      // Between the two the job and the session are with both replicas, whichever they began with.
+      const auto drain = [&](const std::string& replica) {
+        EXPECT_EQ(processes_->terminate(replica), "exit code 0") << processes_->log(replica);
+        const bool at_work = get_of(*stub, id).state() == v1::Job::STATE_RUNNING;
+        processes_->start(replica);
+        processes_->wait_until_healthy(replica);
+        return at_work;
+      };
+      const auto answers = enhance(client, made, [&](std::uint64_t index) {
+        if (index == 5) {
+          create(id, kLong, false, stub.get(), v1::DETAIL_BOTH);
+          EXPECT_TRUE(eventually([&] { return get_of(*stub, id).frames_complete() >= 4; }));
+          met = drain(stage + "-1");
+        }
+        if (index == 20) met = drain(stage + "-2") || (met && stage == "superres");
+      });
+      EXPECT_EQ(answers, undisturbed) << stage;
+      const v1::Job job = finished(id, stub.get());
+      EXPECT_EQ(job.state(), v1::Job::STATE_DONE) << stage << ": " << job.error();
+      EXPECT_EQ(job.summary().frame_errors(), 0U) << stage;
+      expect_same_bits(job.result_path(), undrained.result_path());
+    }
+    EXPECT_TRUE(met) << "no drain of " << stage << " met a running job";
+  }
 }
 
 TEST_F(ServicesTest, AMissingServiceIsNamedWithItsAddress) {

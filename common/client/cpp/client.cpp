@@ -4,6 +4,7 @@
 #include <random>
 #include <thread>
 
+#include "common/client/cpp/call_metadata.hpp"
 #include "common/client/cpp/messages.hpp"
 #include "common/client/cpp/session_stream.hpp"
 #include "common/rpc/caller.hpp"
@@ -102,7 +103,7 @@ struct Client::State {
   std::string peer;
   std::shared_ptr<grpc::Channel> channel;
   std::shared_ptr<v1::Coordinator::Stub> stub;
-  std::string authorization;  ///< metadata of every call; empty: none
+  CallMetadata metadata;  ///< of every call
 
   /// One unary call, repeated with growing pauses while nobody answers.
   template <typename Call>
@@ -111,7 +112,7 @@ struct Client::State {
     for (int attempt = 1;; ++attempt) {
       grpc::ClientContext context;
       context.set_deadline(std::chrono::system_clock::now() + timeout);
-      if (!authorization.empty()) context.AddMetadata(rpc::kTokenKey, authorization);
+      metadata.add_to(context);
       const grpc::Status status = make(&context);
       if (status.error_code() != grpc::StatusCode::UNAVAILABLE || attempt == kAttempts) {
         rpc::throw_if_failed(status, peer);
@@ -123,11 +124,17 @@ struct Client::State {
   }
 };
 
-Client::Client(std::string address, const rpc::TlsOptions& tls) : state_(std::make_unique<State>()) {
+Client::Client(std::string address, const rpc::TlsOptions& tls, const std::string& traceparent)
+    : state_(std::make_unique<State>()) {
   state_->peer = "coordinator at " + address;
   state_->channel = rpc::create_channel(address, tls);
   state_->stub = v1::Coordinator::NewStub(state_->channel);
-  if (!tls.token_file.empty()) state_->authorization = rpc::kTokenPrefix + rpc::read_token(tls.token_file);
+  if (!tls.token_file.empty()) state_->metadata.authorization = rpc::kTokenPrefix + rpc::read_token(tls.token_file);
+  if (!traceparent.empty()) {
+    const auto trace = telemetry::parse_traceparent(traceparent);
+    if (!trace) throw_invalid_argument("traceparent '" + traceparent + "': is none of the W3C trace context");
+    state_->metadata.trace = *trace;
+  }
   state_->address = std::move(address);
 }
 Client::~Client() = default;
@@ -197,7 +204,7 @@ std::vector<v1::Job> Client::list_jobs(bool live_sessions) const {
 }
 
 JobWatcher Client::watch_job(const std::string& id, JobSinks sinks, const JobWatchOptions& options) const {
-  return JobWatcher(state_->channel, state_->peer, state_->authorization, id, std::move(sinks), options);
+  return JobWatcher(state_->channel, state_->peer, state_->metadata, id, std::move(sinks), options);
 }
 
 EnhanceSession Client::enhance(const EnhanceOptions& options) const {
@@ -231,8 +238,8 @@ EnhanceSession Client::enhance(const EnhanceOptions& options) const {
   stream.away = options.away;
   const std::uint32_t window = open->window();
   session->stream = std::make_unique<SessionStream>(
-      [stub = state_->stub, authorization = state_->authorization](auto* context, auto* call) {
-        if (!authorization.empty()) context->AddMetadata(rpc::kTokenKey, authorization);
+      [stub = state_->stub, metadata = state_->metadata](auto* context, auto* call) {
+        metadata.add_to(*context);
         stub->async()->Enhance(context, call);
       },
       std::move(stream), std::move(request));

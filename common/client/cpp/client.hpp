@@ -91,7 +91,10 @@ class Client {
  public:
   /// Connects at the first call. An address that is not local needs TLS, else kInvalidArgument. kNotFound or
   /// kInvalidArgument for a file of `tls` that is not what it should be.
-  explicit Client(std::string address, const rpc::TlsOptions& tls = {});
+  /// traceparent: of the caller's W3C trace context, "00-TRACE-SPAN-FLAGS". Every call carries it, and the log lines of
+  /// all services that work on it have its trace id. Empty: the coordinator makes one for each call; kInvalidArgument
+  /// if it is not valid.
+  explicit Client(std::string address, const rpc::TlsOptions& tls = {}, const std::string& traceparent = {});
   ~Client();
   Client(Client&&) noexcept;
   Client& operator=(Client&&) noexcept;

@@ -5,8 +5,8 @@
 #include <optional>
 #include <thread>
 
+#include "common/client/cpp/call_metadata.hpp"
 #include "common/client/cpp/messages.hpp"
-#include "common/rpc/caller.hpp"
 #include "common/rpc/status.hpp"
 #include "pleat/v1/coordinator.grpc.pb.h"
 
@@ -41,11 +41,11 @@ bool has_ended(v1::Job::State state) {
 }
 
 struct JobWatcher::State {
-  State(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string authorization, std::string job_id,
+  State(const std::shared_ptr<grpc::Channel>& channel, std::string peer, CallMetadata metadata, std::string job_id,
         JobSinks sinks, const JobWatchOptions& options)
       : stub_(v1::Coordinator::NewStub(channel)),
         peer_(std::move(peer)),
-        authorization_(std::move(authorization)),
+        metadata_(std::move(metadata)),
         job_id_(std::move(job_id)),
         sinks_(std::move(sinks)),
         patience_(options.patience),
@@ -77,7 +77,9 @@ struct JobWatcher::State {
   void handle_frame(const EnhancedFrame& frame);
 
   std::unique_ptr<v1::Coordinator::Stub> stub_;
-  std::string peer_, authorization_, job_id_;
+  std::string peer_;
+  CallMetadata metadata_;
+  std::string job_id_;
   JobSinks sinks_;
   std::chrono::seconds patience_;
   std::mutex mutex_;
@@ -157,7 +159,7 @@ bool JobWatcher::State::watch_once() {
     if (stopping_) return true;
     context_ = &context;
   }
-  if (!authorization_.empty()) context.AddMetadata(rpc::kTokenKey, authorization_);
+  metadata_.add_to(context);
   v1::WatchJobRequest request;
   request.set_id(job_id_);
   request.set_from_index(next_index_);
@@ -194,10 +196,10 @@ bool JobWatcher::State::watch_once() {
   return false;
 }
 
-JobWatcher::JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string authorization,
+JobWatcher::JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, const CallMetadata& metadata,
                        std::string job_id, JobSinks sinks, const JobWatchOptions& options)
-    : state_(std::make_unique<State>(channel, std::move(peer), std::move(authorization), std::move(job_id),
-                                     std::move(sinks), options)) {}
+    : state_(
+          std::make_unique<State>(channel, std::move(peer), metadata, std::move(job_id), std::move(sinks), options)) {}
 JobWatcher::JobWatcher(JobWatcher&&) noexcept = default;
 JobWatcher& JobWatcher::operator=(JobWatcher&&) noexcept = default;
 JobWatcher::~JobWatcher() = default;

@@ -15,6 +15,8 @@
 
 namespace pleat::client {
 
+struct CallMetadata;
+
 /// What a job's frames refer to.
 struct JobMeshes {
   Mesh coarse, fine;
@@ -54,7 +56,7 @@ class JobWatcher {
  private:
   friend class Client;
   struct State;
-  JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, std::string authorization,
+  JobWatcher(const std::shared_ptr<grpc::Channel>& channel, std::string peer, const CallMetadata& metadata,
              std::string job_id, JobSinks sinks, const JobWatchOptions& options);
   std::unique_ptr<State> state_;
 };

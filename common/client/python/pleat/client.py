@@ -61,6 +61,7 @@ class Job:
     error: str
     result_path: str  #: on the coordinator's host
     owner: str
+    trace_id: str  #: in the log lines of all services that work on it
 
 
 class Session:
@@ -227,9 +228,13 @@ class Client:
     """A connection to a coordinator. Close it, or use it in a `with`."""
 
     def __init__(self, address: str, services: Optional[LocalServices] = None,
-                 credentials: Optional[grpc.ChannelCredentials] = None, token: Optional[str] = None) -> None:
+                 credentials: Optional[grpc.ChannelCredentials] = None, token: Optional[str] = None,
+                 traceparent: Optional[str] = None) -> None:
         self.address = address
         self._metadata = [("authorization", f"Bearer {token}")] if token else []
+        self._traceparent = traceparent
+        if traceparent:
+            self._metadata.append(("traceparent", traceparent))
         self._services = services
         options = [("grpc.max_receive_message_length", _MESSAGE_LIMIT), ("grpc.max_send_message_length", _MESSAGE_LIMIT)]
         self._channel = (grpc.secure_channel(address, credentials, options) if credentials is not None else
@@ -258,7 +263,8 @@ class Client:
         words = [program, "run", os.fspath(scene), "--out", os.fspath(folder), "--coordinator", self.address]
         words += ["--model", model] if model else []
         words += ["--frames", str(frames)] if frames else []
-        done = subprocess.run(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        environment = dict(os.environ, TRACEPARENT=self._traceparent) if self._traceparent else None
+        done = subprocess.run(words, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
                               text=True, check=False)
         if done.returncode not in (0, 3):  # 3: intersections are left
             lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
@@ -307,13 +313,15 @@ class Client:
 
 
 def connect(address: Optional[str] = None, *, program: Optional[str] = None, timeout_s: float = 30,
-            credentials: Optional[grpc.ChannelCredentials] = None, token: Optional[str] = None) -> Client:
+            credentials: Optional[grpc.ChannelCredentials] = None, token: Optional[str] = None,
+            traceparent: Optional[str] = None) -> Client:
     """A connection to the coordinator at `address` (unix:PATH, HOST:PORT), or at $PLEAT_COORDINATOR. Without either
     `pleat up` is started here (program: which one) and ended by Client.close(). credentials: for other hosts; token: for a
-    coordinator that wants one."""
+    coordinator that wants one. traceparent: of the caller's W3C trace context, "00-TRACE-SPAN-FLAGS": log lines of all
+    services have its trace id; None: the coordinator makes one for each call."""
     address = address or os.environ.get("PLEAT_COORDINATOR")
     services = None if address else LocalServices(program)
-    client = Client(address or services.address, services, credentials, token)  # type: ignore[union-attr]
+    client = Client(address or services.address, services, credentials, token, traceparent)  # type: ignore[union-attr]
     try:
         grpc.channel_ready_future(client._channel).result(timeout=timeout_s)
     except grpc.FutureTimeoutError:
@@ -360,7 +368,7 @@ def _frame(message: coordinator_pb2.EnhancedFrame) -> EnhancedFrame:
 def _job(message: coordinator_pb2.Job) -> Job:
     state = coordinator_pb2.Job.State.Name(message.state).replace("STATE_", "").lower()
     return Job(message.id, message.scene_name, state, message.frames, message.frames_complete, message.error,
-               message.result_path, message.owner)
+               message.result_path, message.owner, message.trace_id)
 
 
 def _code_name(code: int) -> str:

@@ -16,6 +16,7 @@ namespace pleat::rpc::testing {
 class SampleRefinement final : public v1::Refinement::Service {
  public:
   static constexpr std::uint64_t kBadFrame = 1'000'000, kThrowingFrame = 1'000'001, kStuckFrame = 1'000'002;
+  static constexpr std::uint64_t kSlowFrame = 1'000'003;  ///< the service is told to stop while it is in work
 
   explicit SampleRefinement(telemetry::Metrics* metrics = nullptr, std::size_t concurrency = 1)
       : metrics_(metrics), concurrency_(concurrency) {}
@@ -23,8 +24,9 @@ class SampleRefinement final : public v1::Refinement::Service {
   grpc::Status Refine(grpc::ServerContext* context,
                       grpc::ServerReaderWriter<v1::RefineResponse, v1::RefineRequest>* stream) override {
     sessions_++;
+    trace_id_ = trace_of(*context).trace_id;
     const grpc::Status status =
-        serve_frames(context, stream, {"refinement", metrics_, concurrency_, idle_timeout_, reader_timeout_},
+        serve_frames(context, stream, {"refinement", metrics_, &drain_, concurrency_, idle_timeout_, reader_timeout_},
                      [&](const v1::RefineOpen& open, v1::RefineOpened* opened) {
                        if (open.coarse().hash() == "bad") throw_invalid_argument("open.coarse: bad");
                        opened->set_fine_hash("fine of " + open.coarse().hash());
@@ -39,6 +41,8 @@ class SampleRefinement final : public v1::Refinement::Service {
   std::chrono::milliseconds idle_timeout_ = kIdleTimeout, reader_timeout_ = kReaderTimeout;
   std::atomic<int> sessions_ = 0;
   std::atomic<int> frames_ = 0;
+  Drain drain_;
+  std::string trace_id_;  ///< of the last stream
 
  private:
   void process(grpc::ServerContext* context, const v1::RefineFrame& frame, v1::RefinedFrame* refined) {
@@ -46,6 +50,10 @@ class SampleRefinement final : public v1::Refinement::Service {
     frames_++;
     if (index == kBadFrame) throw_invalid_argument("frame 1000000: bad");
     if (index == kThrowingFrame) throw std::runtime_error("an unexpected failure");
+    if (index == kSlowFrame) {
+      drain_.begin();
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
     while (index == kStuckFrame && !context->IsCancelled()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
     // Concurrent frames end in another order than they came.
     if (concurrency_ > 1 && index % 3 == 0) std::this_thread::sleep_for(std::chrono::milliseconds(3));
@@ -69,8 +77,8 @@ class SampleSimulation final : public v1::Simulation::Service {
       response.mutable_opened()->set_next_index(open.open().checkpoint().size());
       stream->Write(response);
       const std::uint64_t first = open.open().checkpoint().size(), frames = open.open().scene().frames();
-      PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(context, stream,
-                                                                    checked_window(open.open().window()), first);
+      PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(
+          context, stream, checked_window(open.open().window()), first, &drain_);
       for (std::uint64_t k = first; k < frames; ++k) {
         response.mutable_frame()->mutable_coarse()->set_index(k);
         if (!writer.write(k, response)) return;
@@ -81,6 +89,7 @@ class SampleSimulation final : public v1::Simulation::Service {
   }
 
   std::atomic<std::uint64_t> sent_ = 0;
+  Drain drain_;
 };
 
 }  // namespace pleat::rpc::testing

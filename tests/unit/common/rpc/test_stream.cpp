@@ -308,6 +308,81 @@ TEST_P(Stream, AServerThatStopsIsUnavailable) {
   EXPECT_EQ(code_of([&] { start()->open(open_request(4)); }, "refinement at here"), ErrorCode::kUnavailable);
 }
 
+TEST_P(Stream, ADrainingServiceAnswersWhatItHasAndEndsByItself) {
+  serve();
+  auto stream = start();
+  stream->open(open_request(4));
+  v1::RefineResponse response;
+  stream->push(frame_request(SampleRefinement::kSlowFrame));
+  ASSERT_TRUE(stream->pop(&response)) << "the frame that it had read";
+  EXPECT_EQ(response.frame().fine().index(), SampleRefinement::kSlowFrame);
+  EXPECT_EQ(code_of([&] { stream->pop(&response); }, "refinement at here"), ErrorCode::kUnavailable);
+  expect_no_sessions();
+  EXPECT_EQ(code_of([&] { start()->open(open_request(4)); }, "stopping"), ErrorCode::kUnavailable);
+}
+
+TEST_P(Stream, AnIdleStreamEndsWhenItsServiceDrains) {
+  serve(2);
+  auto stream = start();
+  stream->open(open_request(4));
+  v1::RefineResponse response;
+  for (std::uint64_t k = 0; k < 6; ++k) {
+    stream->push(frame_request(k));
+    ASSERT_TRUE(stream->pop(&response));
+  }
+  service->drain_.begin();
+  EXPECT_EQ(code_of([&] { stream->pop(&response); }, "refinement at here"), ErrorCode::kUnavailable);
+  expect_no_sessions();
+}
+
+TEST_P(Stream, AServerThatDrivesAndWaitsForItsClientEndsWhenItDrains) {
+  serve();
+  const auto simulation_stub = v1::Simulation::NewStub(create_channel(server->address()));
+  FrameStreamOptions options;
+  options.peer = "simulation at here";
+  options.server_driven = true;
+  FrameStream<v1::SimulateRequest, v1::SimulateResponse> stream(
+      [&](auto* context, auto* call) { simulation_stub->async()->Simulate(context, call); }, options);
+  v1::SimulateRequest request;
+  request.mutable_open()->set_window(2);
+  request.mutable_open()->mutable_scene()->set_frames(20);
+  stream.open(request);
+  v1::SimulateResponse response;
+  ASSERT_TRUE(stream.pop(&response));
+  ASSERT_TRUE(stream.pop(&response));
+  simulation.drain_.begin();
+  EXPECT_EQ(code_of([&] { stream.pop(&response); }, "simulation at here"), ErrorCode::kUnavailable);
+}
+
+TEST_P(Stream, ACallCarriesItsTrace) {
+  serve();
+  const auto open_with = [&](const std::function<void(grpc::ClientContext&)>& add) {
+    FrameStreamOptions options;
+    options.peer = "refinement at here";
+    options.same_host = same_host;
+    RefineStream stream(
+        [&](auto* context, auto* call) {
+          add(*context);
+          stub->async()->Refine(context, call);
+        },
+        options);
+    stream.open(open_request(4));
+    return service->trace_id_;
+  };
+  const std::string id = "4bf92f3577b34da6a3ce929d0e0e4736", given = "00-" + id + "-00f067aa0ba902b7-01";
+  EXPECT_EQ(open_with([&](auto& context) { add_trace(context, *telemetry::parse_traceparent(given)); }), id);
+  EXPECT_EQ(open_with([&](auto& context) { context.AddMetadata(kTraceparentKey, given); }), id);
+  // What says nothing valid, or nothing, or two things gets a trace of its own.
+  const std::string made = open_with([](auto&) {});
+  EXPECT_EQ(made.size(), id.size());
+  EXPECT_NE(open_with([](auto&) {}), made);
+  EXPECT_NE(open_with([&](auto& context) { context.AddMetadata(kTraceparentKey, given + "x"); }), id);
+  EXPECT_NE(open_with([&](auto& context) {
+              for (int i = 0; i < 2; ++i) context.AddMetadata(kTraceparentKey, given);
+            }),
+            id);
+}
+
 TEST_P(Stream, TheClientPacesAServerThatDrives) {
   serve();
   const auto simulation_stub = v1::Simulation::NewStub(create_channel(server->address()));

@@ -34,6 +34,8 @@ JobRecord sample() {
   record.frame_errors = 3;
   record.pinched_frames = 4;
   record.pinch_depth_m = 0.0125F;
+  record.trace = *telemetry::parse_traceparent("00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01");
+  record.trace.state = "congo=t61rcWkgMzE";
   record.warnings = {"handle 0 can't follow", "a second"};
   return record;
 }

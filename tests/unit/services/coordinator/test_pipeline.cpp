@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cstring>
 #include <mutex>
@@ -139,6 +140,43 @@ TEST_F(PipelineTest, AWindowGoesOnBehindTheFramesOnDisk) {
 }
 
 /// Frames of the fold step alone.
+/// Of other sessions, too: here they are the test's.
+TEST_F(PipelineTest, FramesGoToTheReplicaWithTheLeastInFlight) {
+  FakeService& other = fakes_.add_superres();
+  addresses_.superres.push_back(other.address());
+  LinkOptions link = fast_link();
+  link.replicas = std::make_shared<ReplicaDirectory>();
+  link.answer_timeout = 20s;
+  const auto first_load = link.replicas->load_of(fakes_.superres().address());
+  const auto other_load = link.replicas->load_of(other.address());
+  std::atomic<std::uint64_t> answered{0};
+  const auto pipeline = make([&](std::unique_ptr<PipelineFrame>) { ++answered; }, link);
+  pipeline->wait_open();
+  std::uint64_t next = 0;
+  const auto send_one = [&] {
+    ASSERT_TRUE(pipeline->push(frame(next++)));
+    for (int i = 0; i < 1000 && answered < next; ++i) std::this_thread::sleep_for(5ms);
+    ASSERT_EQ(answered, next);
+  };
+  for (const bool busy_first : {true, false, true}) {
+    const LoadShare elsewhere(busy_first ? first_load : other_load, &ReplicaLoad::frames);
+    FakeService &busy = busy_first ? fakes_.superres() : other, &idle = busy_first ? other : fakes_.superres();
+    // Its stream may still be on its way.
+    for (const int before = idle.frames; idle.frames == before && next < 500 && !HasFatalFailure();) send_one();
+    const int before = busy.frames;
+    for (int i = 0; i < 10; ++i) send_one();
+    EXPECT_EQ(busy.frames, before);
+  }
+  EXPECT_EQ(first_load->frames + other_load->frames, 0) << "what was answered counts no more";
+  for (FakeService* fake : {&fakes_.superres(), &other}) {
+    for (const std::uint64_t index : {next, next + 1}) fake->faults.at(index, Faults::Kind::kHang);
+  }
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(pipeline->push(frame(next++)));
+  for (int i = 0; i < 1000 && first_load->frames + other_load->frames < 2; ++i) std::this_thread::sleep_for(5ms);
+  EXPECT_EQ(first_load->frames, 1);
+  EXPECT_EQ(other_load->frames, 1);
+}
+
 class FoldedPipeline : public PipelineTest {
  protected:
   FoldedPipeline() {
@@ -194,6 +232,26 @@ TEST_F(FoldedPipeline, AnotherReplicaGoesOnWhereOneBrokeOff) {
   // Answers that were on their way when a stream broke may be lost with it; such frames are asked for again.
   EXPECT_GE(fakes_.fold().frames + other.frames, 20);
   EXPECT_GE(other.frames, 1);
+}
+
+TEST_F(FoldedPipeline, SessionsThatStayGoWhereFewestAre) {
+  FakeService& other = fakes_.add_fold();
+  addresses_.fold.push_back(other.address());
+  LinkOptions link = fast_link();
+  link.replicas = std::make_shared<ReplicaDirectory>();
+  const auto open = [&] {
+    auto pipeline = make({}, link);
+    pipeline->wait_open();
+    return pipeline;
+  };
+  const auto first = open();
+  {
+    const auto second = open();
+    EXPECT_EQ(fakes_.fold().opened, 1);
+    EXPECT_EQ(other.opened, 1) << "though it is no session's turn";
+  }
+  const auto third = open();
+  EXPECT_EQ(other.opened, 2) << "the one that ended counts no more";
 }
 
 TEST_F(FoldedPipeline, BeginsAnewBehindAFrameThatIsMissing) {

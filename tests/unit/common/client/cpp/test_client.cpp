@@ -70,8 +70,11 @@ class FakeCoordinator final : public v1::Coordinator::Service {
     while (reader->Read(&part)) ++parts_;
     return CreateJob(context, &request, job);
   }
-  grpc::Status GetJob(grpc::ServerContext*, const v1::GetJobRequest* request, v1::Job* job) override {
-    return rpc::guard([&] { *job = find(request->id()); });
+  grpc::Status GetJob(grpc::ServerContext* context, const v1::GetJobRequest* request, v1::Job* job) override {
+    return rpc::guard([&] {
+      *job = find(request->id());
+      job->set_trace_id(rpc::trace_of(*context).trace_id);
+    });
   }
   grpc::Status CancelJob(grpc::ServerContext*, const v1::CancelJobRequest* request, v1::Job* job) override {
     return rpc::guard([&] {
@@ -178,6 +181,16 @@ TEST_F(ClientTest, Jobs) {
   EXPECT_EQ(client->get_job(job.id()).scene_name(), "draping");
   EXPECT_EQ(client->list_jobs().size(), 1u);
   EXPECT_EQ(client->cancel_job(job.id()).state(), v1::Job::STATE_CANCELLED);
+}
+
+TEST_F(ClientTest, CallsCarryTheTraceThatItIsGiven) {
+  const std::string id = "4bf92f3577b34da6a3ce929d0e0e4736";
+  coordinator.jobs_["a"].set_id("a");
+  const Client traced(server->address(), {}, "00-" + id + "-00f067aa0ba902b7-01");
+  EXPECT_EQ(traced.get_job("a").trace_id(), id);
+  EXPECT_NE(client->get_job("a").trace_id(), id);
+  EXPECT_EQ(code_of([&] { Client(server->address(), {}, "00-" + id); }, "traceparent '00-4bf92"),
+            ErrorCode::kInvalidArgument);
 }
 
 TEST_F(ClientTest, LongAnimationsGoInParts) {
