@@ -101,7 +101,6 @@ void visit(Visitor& v, Config& c) {
   v.range("micro_batch", c.micro_batch, 0, 4096);
   v.range("patch", c.patch, 0, 8192);
   v.range("every_frames", c.every_frames, 1, 1000000);
-  v.range("max_parting", c.max_parting, 0, 1e6);
   v.range("steps_per_epoch", c.steps_per_epoch, 0, 100000000);
   v.value("mirror", c.mirror);
   v.choice("precision", c.precision, {"float32", "bfloat16"});

@@ -110,14 +110,11 @@ struct TrainConfig {
   ScheduleConfig schedule;
   ValidationConfig validation;
   int epochs = 120;
-  int batch = 16;        ///< windows a step; a window has losses.frames + 1 frames if losses.kinematic > 0, else 1
-  int patch = 72;        ///< side of the coarse patches in texels; 0 or more than the image: whole images
-  int every_frames = 1;  ///< of training sequences: every n-th frame, for data sets with more than time allows
-  /// Training sequences whose fine cloth is further from its coarse one than so many times the median of them all are
-  /// left out: the two simulations parted, and where to is nothing that can be learnt. 0: none is.
-  double max_parting = 0;
-  int steps_per_epoch = 0;            ///< 0: as many as show as many frames as the training split has
-  bool mirror = false;                ///< mirrored copies in u, v and across the sheet; needs a flat rest mesh
+  int batch = 16;           ///< windows a step; a window has losses.frames + 1 frames if losses.kinematic > 0, else 1
+  int patch = 72;           ///< side of the coarse patches in texels; 0 or more than the image: whole images
+  int every_frames = 1;     ///< of training sequences: every n-th frame, for data sets with more than time allows
+  int steps_per_epoch = 0;  ///< 0: as many as show as many frames as the training split has
+  bool mirror = false;      ///< mirrored copies in u, v and across the sheet; needs a flat rest mesh
   std::string precision = "float32";  ///< of the body: "float32" or "bfloat16"
   std::string kernels = "own";   ///< on the CPU: "own" convolutions (services/superres/cpu), or those of "libtorch"
   std::string device = "auto";   ///< "auto", "cpu" or "cuda"

@@ -11,9 +11,7 @@
 #include "common/base/error.hpp"
 #include "common/base/hash.hpp"
 #include "common/base/parallel.hpp"
-#include "common/base/statistics.hpp"
 #include "common/features/frame_features.hpp"
-#include "common/mesh/connectivity.hpp"
 #include "common/mesh/subdivision.hpp"
 #include "common/store/dataset.hpp"
 #include "services/superres/training/frame_converter.hpp"
@@ -29,7 +27,6 @@ using nlohmann::json;
 
 constexpr std::size_t kMeasuredFrames = 256;
 constexpr std::size_t kMeasuredOfSequence = 6;
-constexpr std::uint64_t kPartedFrames = 20;
 constexpr double kPublishedRange = 0.95;  ///< to whose positive and negative [acap] maps its features
 constexpr float kDetailLimit = 6;         ///< folds have curvatures far beyond the deviation
 
@@ -204,51 +201,7 @@ class Loader {
       throw_invalid_argument(config_.dataset + ": its sequences have " + std::to_string(meshes_.size()) +
                              " meshes, which needs key 'serves' = 'any'");
     }
-    if (config_.max_parting > 0) leave_out_parted();
     for (const Usable& one : usable_) frames_ += frames_of(one.info);
-  }
-
-  /// Root mean square distance of the fine cloth from the coarse one at the coarse vertices, over some of the frames,
-  /// in coarse edges.
-  double parting(const Usable& one) const {
-    const MeshPair& pair = meshes_[one.mesh].pair();
-    const std::uint64_t frames = one.info.frames_complete, stride = std::max<std::uint64_t>(1, frames / kPartedFrames);
-    double sum = 0;
-    std::size_t count = 0;
-    for (std::uint64_t k = 0; k < frames; k += stride) {
-      const Positions coarse = std::move(reader_.coarse(one.info.name, k, k + 1).at(0)),
-                      fine = std::move(reader_.fine(one.info.name, k, k + 1).at(0));
-      for (Eigen::Index i = 0; i < coarse.rows(); ++i) {
-        const std::uint32_t same = pair.feature_vertices[static_cast<std::size_t>(i)];
-        sum += (fine.row(same) - coarse.row(i)).cast<double>().squaredNorm();
-        ++count;
-      }
-    }
-    return std::sqrt(sum / static_cast<double>(count)) / mean_edge_length(pair.coarse);
-  }
-
-  void leave_out_parted() {
-    std::vector<double> all, training;
-    for (const Usable& one : usable_) {
-      all.push_back(parting(one));
-      if (!in_validation(config_, one.info)) training.push_back(all.back());
-    }
-    const double usual = median(training);
-    std::vector<Usable> kept;
-    for (std::size_t i = 0; i < usable_.size(); ++i) {
-      if (in_validation(config_, usable_[i].info) || all[i] <= config_.max_parting * usual) {
-        kept.push_back(std::move(usable_[i]));
-        continue;
-      }
-      char text[160];
-      std::snprintf(text, sizeof text, ": its fine cloth is %.2f coarse edges from the coarse one, %.1f times as usual",
-                    all[i], all[i] / usual);
-      report_("left out: sequence " + usable_[i].info.name + text);
-    }
-    usable_ = std::move(kept);
-    if (std::none_of(usable_.begin(), usable_.end(), [&](const auto& s) { return !in_validation(config_, s.info); })) {
-      throw_invalid_argument(config_.dataset + ": key 'max_parting' leaves no sequence to train on");
-    }
   }
 
   void describe_data() {

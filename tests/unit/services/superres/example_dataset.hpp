@@ -59,11 +59,9 @@ inline DatasetMaster example_master() {
   return master;
 }
 
-/// Sequence `name`; recorded: frames that are written, kFrames to finish it. own: the file holds the meshes. parted:
-/// how far the fine cloth is moved away, metres.
+/// Sequence `name`; recorded: frames that are written, kFrames to finish it. own: the file holds the meshes.
 inline void write_sequence(const std::filesystem::path& folder, const DatasetMaster& master, const std::string& name,
-                           const std::string& split, int phase, int recorded = kFrames, bool own = false,
-                           float parted = 0) {
+                           const std::string& split, int phase, int recorded = kFrames, bool own = false) {
   SequenceOptions options;
   if (own) options.meshes = std::make_shared<MeshPair>(master.topology);
   options.name = name;
@@ -79,7 +77,6 @@ inline void write_sequence(const std::filesystem::path& folder, const DatasetMas
     frame.time_s = 0.04 * f;
     frame.coarse = wave(master.topology.coarse.rest_positions, f, phase, false);
     frame.fine = wave(master.topology.fine.rest_positions, f, phase, true);
-    frame.fine.col(1).array() += parted;
     writer.append(frame);
   }
   if (recorded == kFrames) writer.finish();

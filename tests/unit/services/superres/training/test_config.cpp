@@ -85,7 +85,6 @@ TEST(TrainConfig, FaultsAreNamed) {
   EXPECT_THAT(error_of(with(R"("patch": 0, "losses": {"edges": -0.1})")), HasSubstr("'losses.edges' = -0.1"));
   EXPECT_EQ(error_of(with(R"("patch": 0, "losses": {"edges": 0.1})")), "no error");
   EXPECT_THAT(error_of(with(R"("schedule": {"kind": "cosine", "progress": "minutes"})")), HasSubstr("max_minutes"));
-  EXPECT_THAT(error_of(with(R"("max_parting": -1)")), HasSubstr("'max_parting' = -1"));
   EXPECT_THAT(error_of(R"({"name": "a", "dataset": "d"})"), HasSubstr("'output' is missing"));
   EXPECT_THAT(error_of(R"({"name": "../a", "dataset": "d", "output": "o"})"), HasSubstr("'name'"));
   EXPECT_THAT(error_of("{"), HasSubstr("no JSON"));

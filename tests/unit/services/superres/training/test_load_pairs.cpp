@@ -130,27 +130,6 @@ TEST_F(LoadPairs, OneFrameInTwoOfTheTrainingSequences) {
   }
 }
 
-TEST_F(LoadPairs, SequencesWhoseSimulationsPartedAreLeftOut) {
-  write(true);
-  DatasetMaster more = master_;
-  more.sequences = {"a", "b", "c", "d", "e"};
-  more.normalization = example_range();
-  write_dataset_master(folder_, more);
-  write_sequence(folder_, more, "c", "train", 2);
-  write_sequence(folder_, more, "d", "train", 3, kFrames, false, 0.5F);
-  write_sequence(folder_, more, "e", "test", 4, kFrames, false, 0.5F);
-  std::string said;
-  TrainConfig c = config();
-  EXPECT_EQ(load_pairs(c, quiet).data.sequences.size(), 5U);
-  c.max_parting = 3;
-  const LoadedPairs loaded = load_pairs(c, [&](const std::string& line) { said += line + "\n"; });
-  EXPECT_EQ(loaded.data.sequences.size(), 4U) << said;
-  EXPECT_THAT(said, HasSubstr("left out: sequence d"));
-  EXPECT_THAT(said, testing::Not(HasSubstr("sequence e"))) << "what judges is not chosen by its answers";
-  c.max_parting = 0.01;
-  EXPECT_THAT(error_of([&] { load_pairs(c, quiet); }).what(), HasSubstr("max_parting"));
-}
-
 TrainConfig any_mesh(TrainConfig c) {
   c.serves = "any";
   c.images.layout = "detail", c.images.units = "coarse_edges";
