@@ -17,7 +17,7 @@ CRASH_MINUTES ?= 100
 SOAK_MINUTES ?= 60
 FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine fuzz_obj fuzz_ply fuzz_frames fuzz_points fuzz_hdf5 fuzz_scene fuzz_material fuzz_archive
 
-.PHONY: help setup configure build programs demo test bench lint format sanitize fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install deb python
+.PHONY: help setup configure build programs demo test bench lint format sanitize sanitize-threads coverage fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install deb python
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -88,6 +88,17 @@ format: setup ## format all sources in place
 sanitize: setup ## build with address and undefined-behaviour sanitizers and run the tests under them
 	@cmake --preset asan-ubsan >/dev/null && cmake --build --preset asan-ubsan -j $(JOBS)
 	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 ctest --test-dir build-asan --output-on-failure -LE 'browser|bench'
+
+sanitize-threads: setup ## the same with the sanitizer of threads
+	@cmake --preset tsan >/dev/null && cmake --build --preset tsan -j $(JOBS)
+	@TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1 ctest --test-dir build-tsan --output-on-failure -LE 'browser|bench'
+
+coverage: setup ## run the tests and print which share of the lines of common and services they run; pages in out/coverage
+	@$(MAKE) --no-print-directory setup PACKAGES="gcovr"
+	@cmake --preset coverage >/dev/null && cmake --build --preset coverage -j $(JOBS)
+	@find build-coverage -name '*.gcda' -delete
+	@ctest --test-dir build-coverage --output-on-failure -j $(JOBS) -LE 'browser|bench'
+	@/usr/bin/python3 cmake/coverage.py build-coverage $(OUT)/coverage
 
 fuzz: setup ## fuzz the inputs of services and the readers of files, FUZZ_SECONDS each (tests/fuzz/README.md)
 	@$(MAKE) --no-print-directory setup PACKAGES="clang libclang-rt-14-dev"

@@ -4,7 +4,7 @@ function(pleat_common_options target)
   pleat_private_options(${target})
 endfunction()
 
-# Warnings, -march and sanitizers: what nobody who links the target inherits.
+# Warnings, -march, sanitizers and coverage: what nobody who links the target inherits.
 function(pleat_private_options target)
   target_link_libraries(${target} PRIVATE pleat_warnings)
   if(PLEAT_ARCH)
@@ -13,6 +13,10 @@ function(pleat_private_options target)
   if(PLEAT_SANITIZE)
     target_compile_options(${target} PRIVATE -fsanitize=${PLEAT_SANITIZE} -fno-omit-frame-pointer)
     target_link_options(${target} PUBLIC -fsanitize=${PLEAT_SANITIZE})
+  endif()
+  if(PLEAT_COVERAGE)
+    target_compile_options(${target} PRIVATE --coverage -fprofile-update=atomic)
+    target_link_options(${target} PUBLIC --coverage)
   endif()
 endfunction()
 
