@@ -287,6 +287,16 @@ TEST_F(ServicesTest, AClientThatDisappearsFreesTheStages) {
   EXPECT_EQ(session.finish().error_code(), grpc::StatusCode::CANCELLED);
 }
 
+/// Frame k of a job's result, to be enhanced again.
+client::CoarseFrame coarse_frame(const ResultReader& made, std::uint64_t k) {
+  client::CoarseFrame frame;
+  frame.index = k;
+  frame.time_s = 0.04 * static_cast<double>(k);
+  const Positions coarse = made.coarse(k, k + 1)[0];
+  frame.positions.assign(coarse.data(), coarse.data() + coarse.size());
+  return frame;
+}
+
 TEST_F(ServicesTest, ALiveSessionOutlivesAKilledCoordinatorWithTheSameBits) {
   const ResultReader made(calm().result_path());
   const client::Client client(processes_->address("coordinator"));
@@ -296,15 +306,7 @@ TEST_F(ServicesTest, ALiveSessionOutlivesAKilledCoordinatorWithTheSameBits) {
           {.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = detail, .patience = 60s});
       std::vector<std::vector<float>> fine;
       session.run(
-          kFrames,
-          [&](std::uint64_t k) {
-            client::CoarseFrame frame;
-            frame.index = k;
-            frame.time_s = 0.04 * static_cast<double>(k);
-            const Positions coarse = made.coarse(k, k + 1)[0];
-            frame.positions.assign(coarse.data(), coarse.data() + coarse.size());
-            return frame;
-          },
+          kFrames, [&](std::uint64_t k) { return coarse_frame(made, k); },
           [&](const client::EnhancedFrame& answer, const client::CoarseFrame&) {
             EXPECT_FALSE(answer.error) << answer.error->what();
             EXPECT_EQ(answer.index, fine.size());
@@ -404,15 +406,7 @@ class DrainTest : public ServicesTest {
         {.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = v1::DETAIL_BOTH, .patience = 0s});
     std::vector<std::vector<float>> fine;
     session.run(
-        kFrames,
-        [&](std::uint64_t k) {
-          client::CoarseFrame frame;
-          frame.index = k;
-          frame.time_s = 0.04 * static_cast<double>(k);
-          const Positions coarse = made.coarse(k, k + 1)[0];
-          frame.positions.assign(coarse.data(), coarse.data() + coarse.size());
-          return frame;
-        },
+        kFrames, [&](std::uint64_t k) { return coarse_frame(made, k); },
         [&](const client::EnhancedFrame& answer, const client::CoarseFrame&) {
           EXPECT_FALSE(answer.error) << answer.error->what();
           EXPECT_EQ(answer.index, fine.size());
