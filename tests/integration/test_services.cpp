@@ -110,6 +110,32 @@ class ServicesTest : public ::testing::Test {
     return {};
   }
 
+  /// What a live session answers to the coarse frames of a job's result; `at` is called behind each answer.
+  static std::vector<std::vector<float>> enhance_again(const client::Client& client, const ResultReader& made,
+                                                       v1::Detail detail, std::chrono::seconds patience,
+                                                       const std::function<void(std::uint64_t)>& at) {
+    client::EnhanceSession session = client.enhance(
+        {.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = detail, .patience = patience});
+    std::vector<std::vector<float>> fine;
+    session.run(
+        kFrames,
+        [&](std::uint64_t k) {
+          client::CoarseFrame frame;
+          frame.index = k;
+          frame.time_s = 0.04 * static_cast<double>(k);
+          const Positions coarse = made.coarse(k, k + 1)[0];
+          frame.positions.assign(coarse.data(), coarse.data() + coarse.size());
+          return frame;
+        },
+        [&](const client::EnhancedFrame& answer, const client::CoarseFrame&) {
+          EXPECT_FALSE(answer.error) << answer.error->what();
+          EXPECT_EQ(answer.index, fine.size());
+          fine.push_back(answer.positions);
+          at(answer.index);
+        });
+    return fine;
+  }
+
   /// The undisturbed job that the others are compared with; made once.
   static v1::Job calm() {
     static const v1::Job job = [] {
@@ -287,35 +313,16 @@ TEST_F(ServicesTest, AClientThatDisappearsFreesTheStages) {
   EXPECT_EQ(session.finish().error_code(), grpc::StatusCode::CANCELLED);
 }
 
-/// Frame k of a job's result, to be enhanced again.
-client::CoarseFrame coarse_frame(const ResultReader& made, std::uint64_t k) {
-  client::CoarseFrame frame;
-  frame.index = k;
-  frame.time_s = 0.04 * static_cast<double>(k);
-  const Positions coarse = made.coarse(k, k + 1)[0];
-  frame.positions.assign(coarse.data(), coarse.data() + coarse.size());
-  return frame;
-}
-
 TEST_F(ServicesTest, ALiveSessionOutlivesAKilledCoordinatorWithTheSameBits) {
   const ResultReader made(calm().result_path());
   const client::Client client(processes_->address("coordinator"));
   for (const v1::Detail detail : {v1::DETAIL_NETWORK, v1::DETAIL_FOLD}) {
     const auto enhance = [&](const std::set<std::uint64_t>& kills) {
-      client::EnhanceSession session = client.enhance(
-          {.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = detail, .patience = 60s});
-      std::vector<std::vector<float>> fine;
-      session.run(
-          kFrames, [&](std::uint64_t k) { return coarse_frame(made, k); },
-          [&](const client::EnhancedFrame& answer, const client::CoarseFrame&) {
-            EXPECT_FALSE(answer.error) << answer.error->what();
-            EXPECT_EQ(answer.index, fine.size());
-            fine.push_back(answer.positions);
-            if (!kills.contains(answer.index)) return;
-            processes_->kill("coordinator");
-            processes_->start("coordinator");
-          });
-      return fine;
+      return enhance_again(client, made, detail, 60s, [&](std::uint64_t k) {
+        if (!kills.contains(k)) return;
+        processes_->kill("coordinator");
+        processes_->start("coordinator");
+      });
     };
     const auto undisturbed = enhance({});
     ASSERT_EQ(undisturbed.size(), kFrames);
@@ -366,7 +373,8 @@ TEST_F(ServicesTest, ATraceIsInTheLogsOfAllServices) {
   ASSERT_EQ(made.size(), id.size());
   EXPECT_NE(made, id);
   for (const std::string& stage : stages) {
-    if (stage != "simulation") EXPECT_GT(lines(stage, made), 0) << stage << ": " << processes_->log(stage);
+    if (stage == "simulation") continue;
+    EXPECT_GT(lines(stage, made), 0) << stage << ": " << processes_->log(stage);
   }
   EXPECT_GT(lines("coordinator", made), 0) << processes_->log("coordinator");
 }
@@ -398,23 +406,6 @@ class DrainTest : public ServicesTest {
     EXPECT_TRUE(status.ok()) << status.error_message();
     return job;
   }
-
-  /// The answers of a live session; `at` is called behind each.
-  static std::vector<std::vector<float>> enhance(const client::Client& client, const ResultReader& made,
-                                                 const std::function<void(std::uint64_t)>& at) {
-    client::EnhanceSession session = client.enhance(
-        {.coarse = client::from_message(scene_.garment_mesh(), "garment"), .detail = v1::DETAIL_BOTH, .patience = 0s});
-    std::vector<std::vector<float>> fine;
-    session.run(
-        kFrames, [&](std::uint64_t k) { return coarse_frame(made, k); },
-        [&](const client::EnhancedFrame& answer, const client::CoarseFrame&) {
-          EXPECT_FALSE(answer.error) << answer.error->what();
-          EXPECT_EQ(answer.index, fine.size());
-          fine.push_back(answer.positions);
-          at(answer.index);
-        });
-    return fine;
-  }
 };
 
 TEST_F(DrainTest, AReplicaThatIsToldToStopLosesNoFrame) {
@@ -425,7 +416,7 @@ TEST_F(DrainTest, AReplicaThatIsToldToStopLosesNoFrame) {
   const v1::Job undrained = finished("undrained", stub.get());
   ASSERT_EQ(undrained.state(), v1::Job::STATE_DONE) << undrained.error();
   const ResultReader made(undrained.result_path());
-  const auto undisturbed = enhance(client, made, [](std::uint64_t) {});
+  const auto undisturbed = enhance_again(client, made, v1::DETAIL_BOTH, 0s, [](std::uint64_t) {});
   ASSERT_EQ(undisturbed.size(), kFrames);
 
   for (const std::string& stage : ServiceProcesses::stages()) {
@@ -440,7 +431,7 @@ TEST_F(DrainTest, AReplicaThatIsToldToStopLosesNoFrame) {
         processes_->wait_until_healthy(replica);
         return at_work;
       };
-      const auto answers = enhance(client, made, [&](std::uint64_t index) {
+      const auto answers = enhance_again(client, made, v1::DETAIL_BOTH, 0s, [&](std::uint64_t index) {
         if (index == 5) {
           create(id, kLong, false, stub.get(), v1::DETAIL_BOTH);
           EXPECT_TRUE(eventually([&] { return get_of(*stub, id).frames_complete() >= 4; }));

@@ -335,14 +335,20 @@ TEST_P(Stream, AnIdleStreamEndsWhenItsServiceDrains) {
   expect_no_sessions();
 }
 
-TEST_P(Stream, AServerThatDrivesAndWaitsForItsClientEndsWhenItDrains) {
-  serve();
-  const auto simulation_stub = v1::Simulation::NewStub(create_channel(server->address()));
+using SimulateStream = FrameStream<v1::SimulateRequest, v1::SimulateResponse>;
+
+/// A stream whose server sends of its own accord.
+SimulateStream driven_by(v1::Simulation::Stub& stub) {
   FrameStreamOptions options;
   options.peer = "simulation at here";
   options.server_driven = true;
-  FrameStream<v1::SimulateRequest, v1::SimulateResponse> stream(
-      [&](auto* context, auto* call) { simulation_stub->async()->Simulate(context, call); }, options);
+  return SimulateStream([&](auto* context, auto* call) { stub.async()->Simulate(context, call); }, options);
+}
+
+TEST_P(Stream, AServerThatDrivesAndWaitsForItsClientEndsWhenItDrains) {
+  serve();
+  const auto simulation_stub = v1::Simulation::NewStub(create_channel(server->address()));
+  SimulateStream stream = driven_by(*simulation_stub);
   v1::SimulateRequest request;
   request.mutable_open()->set_window(2);
   request.mutable_open()->mutable_scene()->set_frames(20);
@@ -386,11 +392,7 @@ TEST_P(Stream, ACallCarriesItsTrace) {
 TEST_P(Stream, TheClientPacesAServerThatDrives) {
   serve();
   const auto simulation_stub = v1::Simulation::NewStub(create_channel(server->address()));
-  FrameStreamOptions options;
-  options.peer = "simulation at here";
-  options.server_driven = true;
-  FrameStream<v1::SimulateRequest, v1::SimulateResponse> stream(
-      [&](auto* context, auto* call) { simulation_stub->async()->Simulate(context, call); }, options);
+  SimulateStream stream = driven_by(*simulation_stub);
   v1::SimulateRequest request;
   request.mutable_open()->set_window(3);
   request.mutable_open()->mutable_scene()->set_frames(20);
