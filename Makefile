@@ -15,9 +15,9 @@ SOURCES = $(shell git ls-files '*.cpp' '*.hpp')
 FUZZ_SECONDS ?= 120
 CRASH_MINUTES ?= 100
 SOAK_MINUTES ?= 60
-FUZZERS := fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine fuzz_obj fuzz_ply fuzz_frames fuzz_points fuzz_hdf5 fuzz_scene fuzz_material fuzz_archive
+FUZZERS := fuzz_simulate fuzz_to_image fuzz_to_mesh fuzz_fold fuzz_refine fuzz_enhance fuzz_obj fuzz_ply fuzz_frames fuzz_points fuzz_hdf5 fuzz_scene fuzz_material fuzz_archive
 
-.PHONY: help setup configure build programs demo test bench lint format sanitize sanitize-threads coverage fuzz crash soak clean compose-demo dataset model viewer proto-descriptor install deb python
+.PHONY: help setup configure build programs demo test bench lint format sanitize sanitize-threads coverage fuzz crash soak scale clean compose-demo dataset model viewer proto-descriptor install deb python
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -85,6 +85,9 @@ lint: setup ## formatting, static checks and the rules of the rooms
 format: setup ## format all sources in place
 	@clang-format -i $(SOURCES)
 
+scale: programs ## frames, sequences and training steps by 1 to 4 processes in shares of a core, and what they cost (as root)
+	@/usr/bin/python3 tests/bench/scale/scale.py $(BUILD) --json $(OUT)/scale.json
+
 sanitize: setup ## build with address and undefined-behaviour sanitizers and run the tests under them
 	@cmake --preset asan-ubsan >/dev/null && cmake --build --preset asan-ubsan -j $(JOBS)
 	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 ctest --test-dir build-asan --output-on-failure -LE 'browser|bench'
@@ -100,16 +103,11 @@ coverage: setup ## run the tests and print which share of the lines of common an
 	@ctest --test-dir build-coverage --output-on-failure -j $(JOBS) -LE 'browser|bench'
 	@/usr/bin/python3 cmake/coverage.py build-coverage $(OUT)/coverage
 
-fuzz: setup ## fuzz the inputs of services and the readers of files, FUZZ_SECONDS each (tests/fuzz/README.md)
+fuzz: setup ## fuzz the inputs of services and the readers of files, FUZZ_SECONDS each, JOBS at once (tests/fuzz/README.md)
 	@$(MAKE) --no-print-directory setup PACKAGES="clang libclang-rt-14-dev"
 	@cmake --preset fuzz >build-fuzz-configure.log 2>&1 || { cat build-fuzz-configure.log; exit 1; }; rm -f build-fuzz-configure.log
 	@cmake --build build-fuzz -j $(JOBS) --target $(FUZZERS)
-	@for f in $(FUZZERS); do \
-	  seeds=tests/fuzz/corpus/$${f#fuzz_}; found=build-fuzz/corpus/$${f#fuzz_}; mkdir -p $$found; \
-	  echo "fuzz: $$f for $(FUZZ_SECONDS) s"; \
-	  build-fuzz/bin/$$f -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=2048 -max_len=60000 -print_final_stats=1 \
-	    -verbosity=0 -close_fd_mask=1 -artifact_prefix=build-fuzz/ $$found $$seeds || exit 1; \
-	done; echo "fuzz: nothing found"
+	@printf '%s\n' $(FUZZERS) | xargs -P $(JOBS) -I '{}' tests/fuzz/fuzz.sh build-fuzz '{}' $(FUZZ_SECONDS)
 
 compose-demo: ## build the container images and run the demo job against them
 	@docker/compose-demo.sh $(OUT)/compose-demo

@@ -1,14 +1,24 @@
-// Writes the seeds of the corpora: whole, small sessions, from which the fuzzers start. Usage: fuzz_make_seeds FOLDER
+// Writes the seeds of the corpora: whole, small sessions, from which the fuzzers start.
+// Usage: fuzz_make_seeds FOLDER SOURCES, the second being the project's root.
+#include <algorithm>
+#include <cctype>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
 
 #include "common/frame/messages.hpp"
 #include "common/mesh/subdivision.hpp"
+#include "common/scene/animation_parts.hpp"
 #include "pleat/v1/conversion.pb.h"
 #include "pleat/v1/fold.pb.h"
 #include "pleat/v1/refinement.pb.h"
+#include "services/coordinator/service.hpp"
+#include "services/simulation/service.hpp"
+#include "services/superres/bundle/folder.hpp"
+#include "tests/fuzz/fake_coordinator.hpp"
 #include "tests/fuzz/message_fuzzer.hpp"
+#include "tests/fuzz/stream_fuzzer.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
 namespace pleat::fuzz {
@@ -170,16 +180,136 @@ void refinement_seeds(const std::filesystem::path& folder) {
   }
 }
 
+// A free fine mesh that falls on a ball, a tracked one with a tool that moves (its animation in parts), and one that
+// goes on from a check-point.
+void simulation_seeds(const std::filesystem::path& folder) {
+  std::vector<v1::SimulateRequest> messages(1);
+  v1::SimulateOpen& open = *messages[0].mutable_open();
+  open.set_fine(v1::SimulateOpen::FINE_FREE);
+  open.set_window(8);
+  v1::Scene& scene = *open.mutable_scene();
+  scene.set_name("seed");
+  *scene.mutable_garment_mesh() = to_message(test::square_sheet(3, 1));
+  scene.mutable_garment_mesh()->clear_hash();
+  scene.mutable_isotropic()->set_density(500);
+  scene.mutable_isotropic()->set_youngs_modulus(1e6);
+  scene.mutable_isotropic()->set_poissons_ratio(0.3);
+  scene.mutable_isotropic()->set_thickness(5e-4);
+  scene.set_frames(3);
+  scene.set_steps_per_frame(2);
+  scene.set_subdivision_rounds(1);
+  scene.set_perturbation_m(1e-3);
+  scene.add_handles()->add_vertices(0);
+  v1::Obstacle& ball = *scene.add_obstacles();
+  ball.set_name("ball");
+  for (const double x : {0.5, -0.3, -0.5}) ball.mutable_sphere()->add_center(x);
+  ball.mutable_sphere()->set_radius(0.25);
+  write(folder / "simulate" / "free", messages);
+
+  std::vector<v1::SimulateRequest> goes_on = messages;
+  goes_on[0].mutable_open()->set_checkpoint_interval(1);
+  telemetry::Metrics metrics("seeds");
+  simulation::SimulationService service({.threads = 1}, metrics);
+  const ServedInProcess served(&service);
+  const auto stub = v1::Simulation::NewStub(served.channel());
+  std::string checkpoint;
+  run_stream<v1::SimulateRequest, v1::SimulateResponse>(
+      [&](grpc::ClientContext* context) { return stub->Simulate(context); }, goes_on,
+      [&](const auto& answer) {
+        checkpoint = answer.frame().checkpoint();
+        return !answer.has_frame();
+      });
+  goes_on[0].mutable_open()->set_checkpoint(checkpoint);
+  write(folder / "simulate" / "goes-on", goes_on);
+
+  open.set_fine(v1::SimulateOpen::FINE_TRACKED);
+  v1::Animation& animation = *ball.mutable_animation();
+  animation.set_sample_time_s(0.04);
+  for (int k = 0; k < 3; ++k) {
+    for (const double x : {0.5, -0.3 + 0.02 * k, -0.5}) animation.add_positions(static_cast<float>(x));
+  }
+  for (const v1::AnimationPart& part : take_animations(scene, 0)) *messages.emplace_back().mutable_animation() = part;
+  messages.emplace_back().set_ack_index(1);
+  write(folder / "simulate" / "tracked-and-animated", messages);
+}
+
+// For the bundles that fuzz_upscale serves, which lie in these folders.
+void upscale_seeds(const std::filesystem::path& folder, const std::filesystem::path& sources) {
+  for (const auto& [bundles, name] :
+       {std::pair{"tests/unit/services/superres", "python_bundle"}, std::pair{"deploy/models", "sheet-81"}}) {
+    const superres::Metadata metadata = superres::read_metadata((sources / bundles).string(), name);
+    const superres::Ports ports = superres::ports_of(metadata);
+    const auto vertices = static_cast<std::int64_t>(metadata.rest_positions.size() / 3);
+    const std::int64_t height = vertices > 0 ? 1 : 4, width = vertices > 0 ? vertices : 5;
+    const auto tensor_of = [&](std::int64_t channels) {
+      Tensor tensor{{channels, height, width}, {}, {}};
+      tensor.values.assign(static_cast<std::size_t>(channels * height * width), 0.25f);
+      return tensor;
+    };
+    std::vector<v1::UpscaleRequest> messages(3);
+    v1::UpscaleOpen& open = *messages[0].mutable_open();
+    open.set_model(name);
+    if (metadata.constants > 0) *open.mutable_constants() = to_message(tensor_of(metadata.constants));
+    for (std::uint64_t k = 0; k < 2; ++k) {
+      v1::ImageFrame& frame = *messages[k + 1].mutable_frame();
+      frame.set_index(k);
+      *frame.mutable_image() = to_message(tensor_of(ports.inputs - metadata.constants));
+      *frame.mutable_alignment() = to_message(RigidTransform{});
+    }
+    write(folder / "upscale" / name, messages);
+  }
+}
+
+// Before the stages that fuzz_enhance has: every detail, and a session that goes on from a check-point.
+void enhance_seeds(const std::filesystem::path& folder) {
+  testing::FakeStages stages;
+  coordinator::CoordinatorService service(coordinator_options(stages), nullptr);
+  const ServedInProcess served(&service);
+  const auto stub = v1::Coordinator::NewStub(served.channel());
+  const Topology coarse = testing::sheet();
+  for (const v1::Detail detail : {v1::DETAIL_NETWORK, v1::DETAIL_FOLD, v1::DETAIL_BOTH, v1::DETAIL_NONE}) {
+    std::vector<v1::EnhanceRequest> messages(3);
+    v1::EnhanceOpen& open = *messages[0].mutable_open();
+    *open.mutable_coarse() = testing::to_wire(coarse);
+    open.mutable_coarse()->clear_hash();
+    open.set_detail(detail);
+    open.set_checkpoint_interval(2);
+    *open.add_obstacles() = to_message(ObstacleShape{"ball", {}});
+    open.add_handles()->add_vertices(0);
+    for (std::uint64_t k = 0; k < 2; ++k) {
+      v1::EnhanceFrame& frame = *messages[k + 1].mutable_frame();
+      *frame.mutable_coarse() = testing::fake_coarse_frame(coarse, k);
+      *frame.add_obstacles() = to_message(test::sphere("ball", {0.3f, -0.3f, -0.5f}, 0.25f));
+    }
+    std::string name = v1::Detail_Name(detail);
+    std::transform(name.begin(), name.end(), name.begin(), [](char c) { return static_cast<char>(std::tolower(c)); });
+    write(folder / "enhance" / name, messages);
+    std::string checkpoint;
+    run_stream<v1::EnhanceRequest, v1::EnhanceResponse>(
+        [&](grpc::ClientContext* context) { return stub->Enhance(context); }, messages,
+        [&](const auto& answer) {
+          if (!answer.checkpoint().empty()) checkpoint = answer.checkpoint();
+          return true;
+        });
+    if (checkpoint.empty()) std::abort();
+    open.set_checkpoint(checkpoint);
+    write(folder / "enhance" / (name + "_goes_on"), messages);
+  }
+}
+
 }  // namespace
 }  // namespace pleat::fuzz
 
 int main(int argc, char** argv) {
-  if (argc != 2) {
-    std::cerr << "usage: fuzz_make_seeds FOLDER\n";
+  if (argc != 3) {
+    std::cerr << "usage: fuzz_make_seeds FOLDER SOURCES\n";
     return 2;
   }
   pleat::fuzz::conversion_seeds(argv[1]);
   pleat::fuzz::fold_seeds(argv[1]);
   pleat::fuzz::refinement_seeds(argv[1]);
+  pleat::fuzz::simulation_seeds(argv[1]);
+  pleat::fuzz::upscale_seeds(argv[1], argv[2]);
+  pleat::fuzz::enhance_seeds(argv[1]);
   return 0;
 }

@@ -120,6 +120,17 @@ class FieldMutator {
     }
   }
 
+  // Bytes are mostly something packed (numbers, a check-point), whose reader wants to be reached.
+  std::string text(const Field& field, std::string old) {
+    if (field.type() != Field::TYPE_BYTES || old.empty() || below(8) == 0) return std::string(below(20), 'a');
+    if (below(6) == 0) {
+      old.resize(below(old.size()));
+    } else {
+      for (std::size_t i = 1 + below(4); i > 0; --i) old[below(old.size())] ^= static_cast<char>(1 << below(8));
+    }
+    return old;
+  }
+
   void change(Message& owner, const Field& field) {
     if (below(12) == 0) {
       owner.GetReflection()->ClearField(&owner, &field);
@@ -146,7 +157,7 @@ class FieldMutator {
       case Field::CPPTYPE_ENUM:
         return r->SetEnumValue(&owner, &field, static_cast<int>(below(5)));
       case Field::CPPTYPE_STRING:
-        return r->SetString(&owner, &field, std::string(below(20), 'a'));
+        return r->SetString(&owner, &field, text(field, r->GetString(owner, &field)));
       case Field::CPPTYPE_MESSAGE:
         r->MutableMessage(&owner, &field);
         return;
