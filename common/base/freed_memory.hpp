@@ -5,7 +5,8 @@ namespace pleat {
 
 /// Keeps freed memory for the next allocation instead of giving it back to the system: a frame's arrays are of one size
 /// again and again, and the first touch of a page costs more than filling it (docs/transport.md). At most 64 MiB of
-/// each of the allocator's arenas lie idle. Call before threads start. Does nothing where the allocator isn't glibc's.
+/// each of the allocator's arenas lie idle, of which there is one for four processors. Call before threads start. Does
+/// nothing where the allocator isn't glibc's.
 void keep_freed_memory();
 
 /// The same without that limit, and one arena for all threads: for programs that take gigabytes for every step and are

@@ -1,11 +1,21 @@
 #include "common/base/freed_memory.hpp"
 
 #include <gtest/gtest.h>
+#include <malloc.h>
 #include <sys/resource.h>
 
+#include <algorithm>
 #include <array>
+#include <cstdio>
+#include <cstdlib>
+#include <latch>
 #include <memory>
+#include <string>
+#include <string_view>
 #include <thread>
+#include <vector>
+
+#include "common/base/parallel.hpp"
 
 namespace pleat {
 namespace {
@@ -42,6 +52,46 @@ TEST(FreedMemory, IsTakenAgainWithoutTouchingNewPages) {
     faults = page_faults() - before;
   }).join();
   EXPECT_LT(faults, 1000) << "one array has 527 pages";
+}
+
+/// Arenas that the allocator has made, as it says itself.
+std::size_t arenas() {
+  char* text = nullptr;
+  std::size_t size = 0, count = 0;
+  std::FILE* file = open_memstream(&text, &size);
+  malloc_info(0, file);
+  std::fclose(file);
+  for (std::string_view rest(text, size); (size = rest.find("<heap nr=")) != rest.npos; rest.remove_prefix(size + 1)) {
+    ++count;
+  }
+  std::free(text);
+  return count;
+}
+
+/// 0 if threads that allocate at the same time share the arenas that there should be.
+[[noreturn]] void share_arenas() {
+  keep_freed_memory();
+  constexpr int kThreads = 32;
+  std::latch all(kThreads);
+  std::vector<std::thread> threads;
+  for (int i = 0; i < kThreads; ++i) {
+    threads.emplace_back([&] {
+      const auto own = std::make_unique<std::string>(10'000, 'x');
+      all.arrive_and_wait();
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  std::exit(arenas() <= std::max<std::size_t>(1, available_processors() / 4) ? 0 : 1);
+}
+
+// Otherwise memory grows with every thread that a session has, and sessions that come and go leave holes in all of
+// them.
+TEST(FreedMemoryDeathTest, ThreadsShareIt) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  GTEST_SKIP() << "the sanitizer's own allocator";
+#endif
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(share_arenas(), testing::ExitedWithCode(0), "");
 }
 
 }  // namespace
