@@ -370,37 +370,40 @@ class ServedStream {
 template <typename Request, typename Response, typename Open>
 grpc::Status serve_frames(grpc::ServerContext* context, grpc::ServerReaderWriter<Response, Request>* stream,
                           const FrameServiceOptions& options, Open&& open) {
-  return guard([&]() -> grpc::Status {
-    const telemetry::TraceContext trace = trace_of(*context);
-    const telemetry::TraceScope scope(trace);
-    std::unique_ptr<SharedFrames> shared;
-    detail::ClientWatch watch(context, std::min(options.idle_timeout, options.reader_timeout) / 4);
-    watch.expect_within(options.idle_timeout);
-    Request first;
-    set_end_mark(&first);
-    if (!stream->Read(&first)) {
-      if (!has_end_mark(first)) return undecodable();
-      return watch.timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "no `open` came") : grpc::Status::OK;
-    }
-    watch.expect_nothing();
-    if (!first.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
-    if (options.drain != nullptr) options.drain->require_none();
-    const std::uint32_t window = checked_window(first.open().window());
-    const detail::SessionCount session(options.metrics);
-    Response opened;
-    const auto process = open(first.open(), opened.mutable_opened());
-    first.Clear();
-    shared = accept_shared_frames(*context, window);
-    if (shared != nullptr) watch.expect_taking(*shared, options.reader_timeout);
-    watch.expect_within(options.reader_timeout);
-    if (!stream->Write(opened)) return grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
-    watch.expect_within(options.idle_timeout);
+  return run_by_priority(*context, [&] {
+    return guard([&]() -> grpc::Status {
+      const telemetry::TraceContext trace = trace_of(*context);
+      const telemetry::TraceScope scope(trace);
+      std::unique_ptr<SharedFrames> shared;
+      detail::ClientWatch watch(context, std::min(options.idle_timeout, options.reader_timeout) / 4);
+      watch.expect_within(options.idle_timeout);
+      Request first;
+      set_end_mark(&first);
+      if (!stream->Read(&first)) {
+        if (!has_end_mark(first)) return undecodable();
+        return watch.timed_out() ? grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "no `open` came")
+                                 : grpc::Status::OK;
+      }
+      watch.expect_nothing();
+      if (!first.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
+      if (options.drain != nullptr) options.drain->require_none();
+      const std::uint32_t window = checked_window(first.open().window());
+      const detail::SessionCount session(options.metrics);
+      Response opened;
+      const auto process = open(first.open(), opened.mutable_opened());
+      first.Clear();
+      shared = accept_shared_frames(*context, window);
+      if (shared != nullptr) watch.expect_taking(*shared, options.reader_timeout);
+      watch.expect_within(options.reader_timeout);
+      if (!stream->Write(opened)) return grpc::Status(grpc::StatusCode::CANCELLED, "the client has gone");
+      watch.expect_within(options.idle_timeout);
 
-    using Messages = detail::ServedMessages<Request, Response>;
-    Messages messages(context, stream, shared.get());
-    return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(context, messages, options, window,
-                                                                                    process, watch, trace)
-        .run();
+      using Messages = detail::ServedMessages<Request, Response>;
+      Messages messages(context, stream, shared.get());
+      return detail::ServedStream<Request, Response, std::decay_t<decltype(process)>>(context, messages, options,
+                                                                                      window, process, watch, trace)
+          .run();
+    });
   });
 }
 

@@ -26,6 +26,7 @@
 
 #include "common/rpc/drain.hpp"
 #include "common/rpc/end_mark.hpp"
+#include "common/rpc/priority.hpp"
 #include "common/rpc/shared_frames.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/trace.hpp"
@@ -77,7 +78,7 @@ std::unique_ptr<SharedFrames> accept_shared_frames(grpc::ServerContextBase& cont
 /// on. With concurrency > 1, process is called from several threads at once; answers keep the order of the requests. A
 /// broken sequence of messages (no open, a second one, bytes that are no message) ends the stream with INVALID_ARGUMENT
 /// after the frames before.
-/// All of it runs in a TraceScope of the call.
+/// All of it runs in a TraceScope of the call, and with the priority that the call asks for.
 /// When the service drains, the frames that were read are answered and the stream ends with UNAVAILABLE, as a new one
 /// does; through a connection that waits for the client, which can't be told of it otherwise, as a call that was
 /// cancelled. Frames that were not read are for the client to send to another replica.

@@ -30,6 +30,7 @@ int up(const UpOptions& options) {
   launch.listen = options.listen;
   launch.metrics_listen = options.metrics_listen;
   launch.token_file = options.token_file;
+  launch.shared = true;
   launch.patience = std::chrono::milliseconds(std::lround(options.answer_timeout_s * 1000));
   Launcher launcher(launch);
   for (const Launcher::Service& service : launcher.services())

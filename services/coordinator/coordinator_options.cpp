@@ -20,6 +20,7 @@ void add_options(config::Options& options, CoordinatorOptions& coordinator) {
       .add("max-jobs-each", coordinator.jobs.max_jobs_each, "of one owner that have not ended; 0: no limit")
       .add("max-gb-each", coordinator.jobs.max_gb_each, "of one owner's jobs on disk; 0: no limit")
       .add("keep-days", coordinator.jobs.keep_days, "jobs that ended longer ago are removed; 0: never")
+      .add("jobs-yield", coordinator.jobs.yield, "where processors are short, live sessions have them first")
       .add("window", coordinator.jobs.window, "frames of a job in flight per stage and replica, 1 to 64")
       .add("checkpoint-interval", coordinator.jobs.checkpoint_interval, "frames between check-points of a simulation")
       .add("max-frames", coordinator.jobs.max_frames, "longest job")

@@ -7,6 +7,7 @@
 #include <cstring>
 #include <utility>
 
+#include "common/base/thread_priority.hpp"
 #include "common/base/whole_file.hpp"
 #include "common/frame/messages.hpp"
 #include "common/frame/representation_messages.hpp"
@@ -284,10 +285,12 @@ bool JobRunner::stopping() const {
 LinkOptions JobRunner::link_for(const telemetry::TraceContext& trace) const {
   LinkOptions link = link_;
   link.trace = trace;
+  link.background = settings_.yield;
   return link;
 }
 
 void JobRunner::work() {
+  if (settings_.yield) lower_thread_priority();
   std::unique_lock lock(mutex_);
   while (true) {
     changed_.wait(lock, [this] { return stopping_ || !queue_.empty(); });

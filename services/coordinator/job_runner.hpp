@@ -32,6 +32,7 @@ struct JobSettings {
   std::size_t max_jobs_each = 0;                        ///< of one owner that have not ended; 0: no limit
   double max_gb_each = 0;                               ///< of one owner's jobs on disk, 10^9 bytes; 0: no limit
   double keep_days = 0;                                 ///< jobs that have ended longer ago are removed; 0: never
+  bool yield = true;                                    ///< where processors are short, live sessions have them first
 };
 
 /// Takes up unfinished jobs of the table at once. Thread-safe.

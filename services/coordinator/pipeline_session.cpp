@@ -32,7 +32,7 @@ Response ask(const std::string& service, const std::vector<std::string>& address
     const std::string& address = replicas[attempt % replicas.size()];
     Response response;
     grpc::ClientContext context;
-    rpc::add_trace(context, link.trace);
+    add_origin(context, link);
     context.set_deadline(std::chrono::system_clock::now() + std::min(link.open_timeout, link.give_up));
     const grpc::Status status = call(link.connect(address), &context, &response);
     if (status.ok()) return response;

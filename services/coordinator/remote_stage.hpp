@@ -20,6 +20,7 @@
 
 #include "common/base/error.hpp"
 #include "common/rpc/channel.hpp"
+#include "common/rpc/priority.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
 #include "common/rpc/trace.hpp"
@@ -42,7 +43,14 @@ struct LinkOptions {
   std::shared_ptr<ReplicaDirectory> replicas = {};         ///< behind names; null: addresses are what they are
   std::shared_ptr<const std::atomic<bool>> stopping = {};  ///< then what breaks off is not tried again; may be null
   telemetry::TraceContext trace = {};                      ///< that all calls belong to
+  bool background = false;                                 ///< work that may wait for others'
 };
+
+/// What the services are told of a call's origin.
+inline void add_origin(grpc::ClientContext& context, const LinkOptions& link) {
+  rpc::add_trace(context, link.trace);
+  if (link.background) rpc::add_background(context);
+}
 
 using rpc::may_pass;
 
@@ -349,7 +357,7 @@ class RemoteStage final : public Stage {
       const auto stub = Rpc::Service::NewStub(options_.link.connect(address(r)));
       Stream stream(
           [&](auto* context, auto* call) {
-            rpc::add_trace(*context, options_.link.trace);
+            add_origin(*context, options_.link);
             Rpc::start(*stub, context, call);
           },
           {.peer = peer(r),

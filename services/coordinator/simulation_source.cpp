@@ -69,7 +69,7 @@ v1::SimulateOpened SimulationSource::connect() {
   fresh->stub = v1::Simulation::NewStub(options_.link.connect(address_));
   fresh->stream = std::make_unique<Stream>(
       [&](auto* context, auto* call) {
-        rpc::add_trace(*context, options_.link.trace);
+        add_origin(*context, options_.link);
         fresh->stub->async()->Simulate(context, call);
       },
       rpc::FrameStreamOptions{.peer = peer(),

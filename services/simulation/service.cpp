@@ -8,6 +8,7 @@
 
 #include "common/base/error.hpp"
 #include "common/frame/messages.hpp"
+#include "common/rpc/priority.hpp"
 #include "common/rpc/status.hpp"
 #include "common/rpc/stream.hpp"
 #include "common/scene/animation_parts.hpp"
@@ -98,49 +99,51 @@ void fill(const SimulatedFrame& frame, v1::SimulatedFrame* message) {
 
 grpc::Status SimulationService::Simulate(grpc::ServerContext* context,
                                          grpc::ServerReaderWriter<v1::SimulateResponse, v1::SimulateRequest>* stream) {
-  return rpc::guard([&]() -> grpc::Status {
-    const telemetry::TraceScope trace(rpc::trace_of(*context));
-    v1::SimulateRequest request;
-    if (!stream->Read(&request)) return grpc::Status::OK;
-    if (!request.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
-    const std::uint32_t window = rpc::checked_window(request.open().window());
-    const std::uint32_t interval = request.open().checkpoint_interval();
-    drain_.require_none();
-    const rpc::detail::SessionCount session(&metrics_);
-    receive_animations(*request.mutable_open()->mutable_scene(), *stream);
-    Simulation simulation = open_session(request.open(), options_);
-    request.Clear();
-    simulation.stop_when([context] { return context->IsCancelled(); });
-    const std::string name = simulation.scene().name;
-    const auto frames = static_cast<std::uint64_t>(simulation.scene().frames);
-    spdlog::info("scene '{}': {} frames from {}, {} coarse vertices", name, frames, simulation.next_index(),
-                 simulation.coarse().vertex_count());
-
-    v1::SimulateResponse response;
-    describe(simulation, response.mutable_opened());
-    if (!stream->Write(response)) return {grpc::StatusCode::CANCELLED, "the client has gone"};
-    rpc::PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(context, stream, window, simulation.next_index(),
-                                                                       &drain_);
-
-    while (simulation.next_index() < frames && !writer.stopped() && !context->IsCancelled()) {
+  return rpc::run_by_priority(*context, [&] {
+    return rpc::guard([&]() -> grpc::Status {
+      const telemetry::TraceScope trace(rpc::trace_of(*context));
+      v1::SimulateRequest request;
+      if (!stream->Read(&request)) return grpc::Status::OK;
+      if (!request.has_open()) throw_invalid_argument("the first message of a stream must be `open`");
+      const std::uint32_t window = rpc::checked_window(request.open().window());
+      const std::uint32_t interval = request.open().checkpoint_interval();
       drain_.require_none();
-      const SimulatedFrame frame = simulation.next_frame();
-      for (const std::string& warning : frame.warnings) spdlog::warn("scene '{}': {}", name, warning);
-      response.Clear();
-      fill(frame, response.mutable_frame());
-      const std::uint64_t index = frame.coarse.index;
-      if (interval > 0 && (index + 1) % interval == 0) {
-        const auto bytes = simulation.checkpoint();
-        response.mutable_frame()->set_checkpoint(bytes.data(), bytes.size());
+      const rpc::detail::SessionCount session(&metrics_);
+      receive_animations(*request.mutable_open()->mutable_scene(), *stream);
+      Simulation simulation = open_session(request.open(), options_);
+      request.Clear();
+      simulation.stop_when([context] { return context->IsCancelled(); });
+      const std::string name = simulation.scene().name;
+      const auto frames = static_cast<std::uint64_t>(simulation.scene().frames);
+      spdlog::info("scene '{}': {} frames from {}, {} coarse vertices", name, frames, simulation.next_index(),
+                   simulation.coarse().vertex_count());
+
+      v1::SimulateResponse response;
+      describe(simulation, response.mutable_opened());
+      if (!stream->Write(response)) return {grpc::StatusCode::CANCELLED, "the client has gone"};
+      rpc::PacedWriter<v1::SimulateRequest, v1::SimulateResponse> writer(context, stream, window,
+                                                                         simulation.next_index(), &drain_);
+
+      while (simulation.next_index() < frames && !writer.stopped() && !context->IsCancelled()) {
+        drain_.require_none();
+        const SimulatedFrame frame = simulation.next_frame();
+        for (const std::string& warning : frame.warnings) spdlog::warn("scene '{}': {}", name, warning);
+        response.Clear();
+        fill(frame, response.mutable_frame());
+        const std::uint64_t index = frame.coarse.index;
+        if (interval > 0 && (index + 1) % interval == 0) {
+          const auto bytes = simulation.checkpoint();
+          response.mutable_frame()->set_checkpoint(bytes.data(), bytes.size());
+        }
+        metrics_.frame_done("simulation", (frame.times.coarse_ms + frame.times.fine_ms) * 1e-3, true);
+        if (frame.report.impacts > 0) metrics_.count("impacts", static_cast<double>(frame.report.impacts));
+        if (frame.report.cut_steps > 0) metrics_.count("cut_steps", static_cast<double>(frame.report.cut_steps));
+        if (!writer.write(index, response)) break;
       }
-      metrics_.frame_done("simulation", (frame.times.coarse_ms + frame.times.fine_ms) * 1e-3, true);
-      if (frame.report.impacts > 0) metrics_.count("impacts", static_cast<double>(frame.report.impacts));
-      if (frame.report.cut_steps > 0) metrics_.count("cut_steps", static_cast<double>(frame.report.cut_steps));
-      if (!writer.write(index, response)) break;
-    }
-    if (context->IsCancelled()) return {grpc::StatusCode::CANCELLED, "the client has gone"};
-    writer.close();
-    return grpc::Status::OK;
+      if (context->IsCancelled()) return {grpc::StatusCode::CANCELLED, "the client has gone"};
+      writer.close();
+      return grpc::Status::OK;
+    });
   });
 }
 

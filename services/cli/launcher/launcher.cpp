@@ -123,6 +123,7 @@ void Launcher::start_service(std::size_t index) {
     for (std::size_t i = 0; i < index; ++i) add("--" + services_[i].name, services_[i].address);
     add("--data", options_.data.string());
     add("--give-up-s", kGiveUp);
+    arguments.emplace_back(options_.shared ? "--jobs-yield=true" : "--jobs-yield=false");
     if (!options_.metrics_listen.empty()) add("--metrics-listen", options_.metrics_listen);
     if (!options_.token_file.empty()) add("--token-file", options_.token_file);
   }

@@ -26,6 +26,7 @@ struct LauncherOptions {
   bool fold = true;            ///< start the fold service
   std::string listen;          ///< of the coordinator; empty: a Unix socket
   std::string metrics_listen;  ///< of the coordinator; empty: none
+  bool shared = false;         ///< others use them too: jobs leave processors to live sessions
   std::string token_file;      ///< of the coordinator: who may call it; empty: whoever gets there
   std::chrono::seconds start_timeout{300};     ///< until all are healthy
   std::chrono::seconds stop_grace{10};         ///< between SIGTERM and SIGKILL

@@ -1,6 +1,10 @@
 // A frame stream service for tests: Refinement whose answers are its requests, with some indices that misbehave.
 #pragma once
 
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
 #include <atomic>
 #include <chrono>
 #include <stdexcept>
@@ -41,6 +45,7 @@ class SampleRefinement final : public v1::Refinement::Service {
   std::chrono::milliseconds idle_timeout_ = kIdleTimeout, reader_timeout_ = kReaderTimeout;
   std::atomic<int> sessions_ = 0;
   std::atomic<int> frames_ = 0;
+  std::atomic<int> niceness_ = 0;  ///< of the thread that worked on the last frame
   Drain drain_;
   std::string trace_id_;  ///< of the last stream
 
@@ -48,6 +53,7 @@ class SampleRefinement final : public v1::Refinement::Service {
   void process(grpc::ServerContext* context, const v1::RefineFrame& frame, v1::RefinedFrame* refined) {
     const std::uint64_t index = frame.coarse().index();
     frames_++;
+    niceness_ = getpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)));
     if (index == kBadFrame) throw_invalid_argument("frame 1000000: bad");
     if (index == kThrowingFrame) throw std::runtime_error("an unexpected failure");
     if (index == kSlowFrame) {

@@ -360,6 +360,33 @@ TEST_P(Stream, AServerThatDrivesAndWaitsForItsClientEndsWhenItDrains) {
   EXPECT_EQ(code_of([&] { stream.pop(&response); }, "simulation at here"), ErrorCode::kUnavailable);
 }
 
+TEST_P(Stream, WorkInTheBackgroundHasALowerPriority) {
+  for (const std::size_t concurrency : {1, 2}) {
+    serve(concurrency);
+    const auto niceness_of = [&](bool background) {
+      FrameStreamOptions options;
+      options.same_host = same_host;
+      RefineStream stream(
+          [&](auto* context, auto* call) {
+            if (background) add_background(*context);
+            stub->async()->Refine(context, call);
+          },
+          options);
+      stream.open(open_request(4));
+      stream.push(frame_request(0));
+      v1::RefineResponse response;
+      stream.pop(&response);
+      stream.close();
+      EXPECT_FALSE(stream.pop(&response));
+      return service->niceness_.load();
+    };
+    const int normal = niceness_of(false);
+    EXPECT_EQ(niceness_of(true), std::max(10, normal));
+    EXPECT_EQ(niceness_of(false), normal) << "threads are not used again for work of another kind";
+    server.reset();
+  }
+}
+
 TEST_P(Stream, ACallCarriesItsTrace) {
   serve();
   const auto open_with = [&](const std::function<void(grpc::ClientContext&)>& add) {
