@@ -59,6 +59,12 @@ def resident_mb(process):
         return 0.0
 
 
+def channel_to(address):
+    """A connection of its own."""
+    return grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", MAX_MESSAGE),
+                                                   ("grpc.use_local_subchannel_pool", 1)])
+
+
 class Up:
     """`pleat up`; leaves nothing behind."""
 
@@ -74,9 +80,7 @@ class Up:
         return services_of(self.process.pid)
 
     def channel(self):
-        """A connection of its own."""
-        return grpc.insecure_channel(self.address, options=[("grpc.max_receive_message_length", MAX_MESSAGE),
-                                                            ("grpc.use_local_subchannel_pool", 1)])
+        return channel_to(self.address)
 
     def coordinator(self):
         return coordinator_pb2_grpc.CoordinatorStub(self.channel())

@@ -1,18 +1,22 @@
 #!/usr/bin/env python3
-"""Live sessions of honest clients for a long time, first alone, then among jobs, watchers that come and go, silent
-sessions, flooders and clients that never read.
+"""Live sessions of honest clients (honest.py) for a long time, first alone, then among jobs, watchers that come and go, silent
+sessions, flooders and clients that never read. The honest ones are a process of their own and the others, whose work belongs to
+other hosts, have a lower priority than the services: latencies are those of the services.
 
-    soak.py PLEAT [--minutes 60] [--sessions 24] [--rate 2] [--judge]
+    soak.py PLEAT [--minutes 60] [--sessions 24] [--rate 2] [--disturbers KIND...] [--judge]
 
 Prints latencies (from sending a frame to having its answer) and the memory of the services. Exit code 1 if an honest
 client lost a frame, got an error or was refused, or a service was replaced; with --judge also if memory grew by 1 % or more
 after the first 5 minutes (or tenth), or the 99th percentile is not below twice the undisturbed one."""
 
 import argparse
+import atexit
 import os
+import pathlib
 import queue
 import random
 import shutil
+import subprocess
 import sys
 import threading
 import time
@@ -21,52 +25,15 @@ import harness
 from harness import common_pb2, coordinator_pb2, coordinator_pb2_grpc, grpc
 
 ALONE = 0.2  # of the time
-
-
-class Honest(threading.Thread):
-    """A live session at a fixed rate; begins anew when it has ended."""
-
-    def __init__(self, soak, number):
-        super().__init__(daemon=True)
-        self.soak, self.number = soak, number
-
-    def run(self):
-        while not self.soak.over.is_set():
-            try:
-                self.session()
-            except Exception as error:  # whatever it is, an honest client met it
-                if not self.soak.over.is_set():
-                    self.soak.fault(f"session {self.number}: {error}")
-                    time.sleep(1)
-
-    def session(self):
-        requests, sent = queue.Queue(), {}
-        requests.put(coordinator_pb2.EnhanceRequest(open=coordinator_pb2.EnhanceOpen(coarse=self.soak.cloth)))
-        with self.soak.up.channel() as channel:
-            answers = coordinator_pb2_grpc.CoordinatorStub(channel).Enhance(iter(requests.get, None))
-            if not next(answers).HasField("opened"):
-                raise RuntimeError("no `opened`")
-            due = time.monotonic() + random.random() / self.soak.rate
-            for index in range(random.randrange(50, 500)):
-                if self.soak.over.wait(max(0, due - time.monotonic())):
-                    break
-                sent[index] = time.monotonic()
-                frame = common_pb2.Frame(index=index, positions=self.soak.cloth.rest_positions)
-                requests.put(coordinator_pb2.EnhanceRequest(frame=coordinator_pb2.EnhanceFrame(coarse=frame)))
-                answer = next(answers)
-                if answer.frame.fine.index != index or answer.HasField("error"):
-                    raise RuntimeError(f"frame {index} was answered by {answer.error or answer.frame.fine.index}")
-                self.soak.note(time.monotonic() - sent[index])
-                due = max(due + 1 / self.soak.rate, time.monotonic())
-            requests.put(None)
-            for _ in answers:
-                raise RuntimeError("an answer too many")
+DISTURBERS = ["job", "fleeting_watcher", "silent_session", "silent_session", "deaf_session", "deaf_session", "flood", "garbage"]
 
 
 class Soak:
     def __init__(self, options):
         self.up = harness.Up(options.pleat, str(harness.WORK / "data"))
-        self.cloth, self.rate, self.options = harness.garment("tablecloth"), options.rate, options
+        self.cloth, self.options = harness.garment("tablecloth"), options
+        self.flood_message = coordinator_pb2.EnhanceRequest(open=coordinator_pb2.EnhanceOpen(
+            subdivision_rounds=5, coarse=common_pb2.Topology(rest_positions=[0.0] * 3_000_000, faces=[0, 1, 2] * 300_000)))
         self.over, self.disturbing = threading.Event(), threading.Event()
         self.lock, self.faults, self.latencies = threading.Lock(), [], {False: [], True: []}
         self.disturbances = {}
@@ -76,9 +43,15 @@ class Soak:
             self.faults.append(text)
         print(text, flush=True)
 
-    def note(self, seconds):
-        with self.lock:
-            self.latencies[self.disturbing.is_set()].append(seconds)
+    def listen(self, clients):
+        """To what the honest clients say: a latency a line, or what went wrong."""
+        for line in clients.stdout:
+            word, _, rest = line.rstrip().partition(" ")
+            if word == "answered":
+                with self.lock:
+                    self.latencies[self.disturbing.is_set()].append(float(rest))
+            elif not self.over.is_set():
+                self.fault(line.rstrip())
 
     def disturb(self, name, action):
         """Does it again and again; what happens to a disturber is its own affair."""
@@ -130,10 +103,7 @@ class Soak:
 
     def flood(self, stub):
         """Large messages that are refused."""
-        shape = common_pb2.Topology(rest_positions=[0.0] * 3_000_000, faces=[0, 1, 2] * 300_000)
-        stream = stub.Enhance(iter([coordinator_pb2.EnhanceRequest(
-            open=coordinator_pb2.EnhanceOpen(coarse=shape, subdivision_rounds=5))]), timeout=30)
-        next(stream)
+        next(stub.Enhance(iter([self.flood_message]), timeout=30))
 
     def garbage(self, stub):
         channel = self.up.channel()
@@ -143,21 +113,32 @@ class Soak:
     def memory_mb(self):
         return {name: harness.resident_mb(process) for name, process in self.up.services().items()}
 
+    def watch_memory(self, seconds):
+        """Prints it every two minutes, for that long."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            time.sleep(min(120, left))
+            memory = self.memory_mb()
+            print(f"  {sum(memory.values()):6.0f} MB: " + ", ".join(f"{name} {mb:.0f}" for name, mb in memory.items()), flush=True)
+
     def run(self):
         processes, seconds = self.up.services(), 60 * self.options.minutes
-        for number in range(self.options.sessions):
-            Honest(self, number).start()
-        time.sleep(ALONE * seconds)
+        clients = subprocess.Popen([sys.executable, pathlib.Path(__file__).with_name("honest.py"), self.up.address,
+                                    str(self.options.sessions), str(self.options.rate)], stdout=subprocess.PIPE, text=True)
+        atexit.register(clients.kill)
+        threading.Thread(target=self.listen, args=[clients], daemon=True).start()
+        os.nice(10)
+        self.watch_memory(ALONE * seconds)
         self.disturbing.set()
-        for name in ("job", "fleeting_watcher", "silent_session", "silent_session", "deaf_session", "deaf_session", "flood",
-                     "garbage"):
+        for name in self.options.disturbers:
             self.disturb(name, getattr(self, name))
         settle = min(300, 0.1 * seconds)
-        time.sleep(settle)
+        self.watch_memory(settle)
         before = sum(self.memory_mb().values())
-        time.sleep(max(0, (1 - ALONE) * seconds - settle))
+        self.watch_memory(max(0, (1 - ALONE) * seconds - settle))
         after = self.memory_mb()
         self.over.set()
+        clients.kill()
         if self.up.services() != processes:
             self.fault(f"services were replaced: {processes} -> {self.up.services()}")
         time.sleep(1)
@@ -192,6 +173,7 @@ def main():
     parser.add_argument("--minutes", type=float, default=60)
     parser.add_argument("--sessions", type=int, default=24)
     parser.add_argument("--rate", type=float, default=2, help="frames a second of each session")
+    parser.add_argument("--disturbers", nargs="+", default=DISTURBERS, metavar="KIND", choices=DISTURBERS)
     parser.add_argument("--judge", action="store_true")
     options = parser.parse_args()
     soak = Soak(options)
