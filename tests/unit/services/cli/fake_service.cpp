@@ -22,8 +22,8 @@ int main(int argc, char** argv) {
     if (fails != nullptr && program == std::string("pleat-") + fails)
       pleat::throw_data_loss("bundle.pt: truncated on purpose");
     pleat::rpc::ServerOptions server;
-    const char* flags[] = {"simulation", "conversion", "superres", "fold",     "refinement",
-                           "data",       "models",     "model",    "give-up-s"};
+    const char* flags[] = {"simulation", "conversion", "superres", "fold",      "refinement",
+                           "data",       "models",     "model",    "give-up-s", "jobs-yield"};
     std::string others[std::size(flags)];
     pleat::config::Options options(program, "A fake.", "FAKE_OPTION_");
     pleat::rpc::add_options(options, server);
