@@ -45,7 +45,8 @@ class Services:
         grpc.channel_ready_future(self.channel).result(60)
 
     def _start(self, kind, words, share=None):
-        self.children.setdefault(kind, []).append(shares.start(words, share, stdout=subprocess.DEVNULL))
+        self.children.setdefault(kind, []).append(shares.start(
+            words, share, stdout=subprocess.DEVNULL, stderr=open(f"{self.folder.name}/{kind}.log", "a", encoding="utf-8")))
 
     def cpu_seconds(self):
         """Of each kind of process, all replicas together."""

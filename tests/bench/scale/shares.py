@@ -7,7 +7,7 @@ import signal
 import subprocess
 import time
 
-PERIOD_US = 20_000  # short, so that a frame of a few milliseconds does not wait for a tenth of a second
+PERIOD_US = 100_000  # in shorter ones a process finds its caches cold too often
 ROOT = pathlib.Path("/sys/fs/cgroup")
 
 
