@@ -1,6 +1,19 @@
 #include "common/base/error.hpp"
 
+#include <algorithm>
+
 namespace pleat {
+namespace {
+
+std::string in_one_line(std::string text) {
+  const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7f; };
+  std::replace_if(text.begin(), text.end(), is_control, ' ');
+  return text;
+}
+
+}  // namespace
+
+Error::Error(ErrorCode code, const std::string& message) : std::runtime_error(in_one_line(message)), code_(code) {}
 
 std::string_view to_string(ErrorCode code) {
   switch (code) {

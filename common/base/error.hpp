@@ -24,10 +24,11 @@ enum class ErrorCode {
 /// The code's name as in gRPC, for example "INVALID_ARGUMENT".
 std::string_view to_string(ErrorCode code);
 
-/// A failure with a code and a message of one line that names the culprit (file, key, vertex, address).
+/// A failure with a code and a message of one line that names the culprit (file, key, vertex, address). Messages echo
+/// what came from elsewhere: each control character in them becomes a space.
 class Error : public std::runtime_error {
  public:
-  Error(ErrorCode code, const std::string& message) : std::runtime_error(message), code_(code) {}
+  Error(ErrorCode code, const std::string& message);
   ErrorCode code() const noexcept { return code_; }
 
  private:

@@ -200,7 +200,12 @@ class PlyReader {
         out_.positions.push_back(static_cast<float>(row_[p]));
       }
       if (!u || !v) continue;
-      for (const std::size_t p : {*u, *v}) out_.uv.push_back(static_cast<float>(row_[p]));
+      for (const std::size_t p : {*u, *v}) {
+        if (!std::isfinite(static_cast<float>(row_[p]))) {
+          fail("vertex " + std::to_string(i) + ": a material coordinate is not finite");
+        }
+        out_.uv.push_back(static_cast<float>(row_[p]));
+      }
     }
   }
 

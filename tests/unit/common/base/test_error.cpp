@@ -17,6 +17,11 @@ TEST(Error, CarriesCodeAndMessage) {
   }
 }
 
+// Messages echo what files hold.
+TEST(Error, IsOneLine) {
+  EXPECT_STREQ(Error(ErrorCode::kInternal, "a.usda: 'x\ny\t\x1b[0m': \u00e4").what(), "a.usda: 'x y  [0m': \u00e4");
+}
+
 TEST(Error, EveryCodeHasItsOwnName) {
   std::set<std::string_view> names;
   for (int code = 0; code <= static_cast<int>(ErrorCode::kInternal); ++code) {
