@@ -1,6 +1,4 @@
 // Simulation.Simulate: an open message, parts of animations, acknowledgements.
-#include <cmath>
-
 #include "common/frame/messages.hpp"
 #include "services/simulation/service.hpp"
 #include "tests/fuzz/message_fuzzer.hpp"
