@@ -24,6 +24,12 @@ void keep_freed_memory() {
 #endif
 }
 
+void give_back_holes() {
+#ifdef __GLIBC__
+  malloc_trim(64 << 20);  // of the end of the first arena as much stays as in keep_freed_memory()
+#endif
+}
+
 void keep_all_freed_memory() {
 #ifdef __GLIBC__
   mallopt(M_MMAP_MAX, 0);  // whatever their size

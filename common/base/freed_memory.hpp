@@ -9,6 +9,11 @@ namespace pleat {
 /// nothing where the allocator isn't glibc's.
 void keep_freed_memory();
 
+/// Gives the pages of freed memory back to the system that lie between what is in use: sessions that end leave such
+/// holes, and the next ones rarely fit. Takes milliseconds for a gigabyte; whoever allocates meanwhile waits. Does
+/// nothing where the allocator isn't glibc's.
+void give_back_holes();
+
 /// The same without that limit, and one arena for all threads: for programs that take gigabytes for every step and are
 /// alone on their machine, as trainings are.
 void keep_all_freed_memory();

@@ -3,8 +3,8 @@
 
 namespace pleat {
 
-/// From now on the calling thread, and those that it starts, get about a tenth of a processor that others want too. It
-/// can't be undone. Does nothing where the system refuses.
+/// From now on the calling thread, and those that it starts, get next to nothing of a processor that others want too.
+/// It can't be undone. Does nothing where the system refuses.
 void lower_thread_priority();
 
 }  // namespace pleat

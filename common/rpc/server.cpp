@@ -13,7 +13,9 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <csignal>
+#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -76,6 +78,27 @@ std::shared_ptr<grpc::ServerCredentials> credentials_of(const ServerOptions& opt
   }
   return server_credentials(options.tls);
 }
+
+/// Gives back the memory that ended sessions have left, every few seconds.
+class SessionLeftovers {
+ public:
+  explicit SessionLeftovers(const telemetry::Metrics& metrics) : metrics_(metrics) {}
+
+  void give_back() {
+    const auto now = std::chrono::steady_clock::now();
+    const std::uint64_t ended = metrics_.ended_sessions();
+    if (ended == given_back_ || now - last_ < kInterval) return;
+    give_back_holes();
+    given_back_ = ended;
+    last_ = now;
+  }
+
+ private:
+  static constexpr std::chrono::seconds kInterval{5};
+  const telemetry::Metrics& metrics_;
+  std::uint64_t given_back_ = 0;
+  std::chrono::steady_clock::time_point last_;
+};
 
 }  // namespace
 
@@ -210,7 +233,11 @@ int run_server(const ServerOptions& options, const std::vector<HostedService>& s
   const sigset_t signals = stop_signals();
   constexpr timespec kRoomInterval{0, 250'000'000};
   int signal = 0;
-  while ((signal = sigtimedwait(&signals, nullptr, &kRoomInterval)) < 0) server.show_room();
+  SessionLeftovers leftovers(metrics);
+  while ((signal = sigtimedwait(&signals, nullptr, &kRoomInterval)) < 0) {
+    server.show_room();
+    leftovers.give_back();
+  }
   spdlog::info("{}: draining for at most {} s", strsignal(signal), options.drain_s);
   std::thread impatient([signals, limit = static_cast<time_t>(options.drain_s) + 10] {
     // A second signal, or a handler that ignores being cancelled, ends the process without further ado.

@@ -46,6 +46,7 @@ struct Metrics::State {
 
   std::string service;
   std::atomic<int> open_sessions{0};
+  std::atomic<std::uint64_t> ended_sessions{0};
   std::shared_ptr<prometheus::Registry> registry;
   prometheus::Family<prometheus::Histogram>& latency;
   prometheus::Family<prometheus::Counter>& frames;
@@ -73,10 +74,13 @@ void Metrics::frame_done(const std::string& stage, double seconds, bool ok) {
 
 void Metrics::add_sessions(int delta) {
   state_->open_sessions += delta;
+  if (delta < 0) state_->ended_sessions += static_cast<std::uint64_t>(-delta);
   state_->sessions.Add({{"service", state_->service}}).Increment(delta);
 }
 
 int Metrics::sessions() const { return state_->open_sessions; }
+
+std::uint64_t Metrics::ended_sessions() const { return state_->ended_sessions; }
 
 void Metrics::add_inflight(const std::string& stage, int delta) {
   state_->inflight.Add({{"service", state_->service}, {"stage", stage}}).Increment(delta);

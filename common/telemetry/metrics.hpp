@@ -30,6 +30,7 @@ class Metrics {
   void frame_done(const std::string& stage, double seconds, bool ok);
   void add_sessions(int delta);
   int sessions() const;
+  std::uint64_t ended_sessions() const;
   void add_inflight(const std::string& stage, int delta);
   void add_window(const std::string& stage, int delta);
   void set_queue_depth(const std::string& edge, std::size_t depth);

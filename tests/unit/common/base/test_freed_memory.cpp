@@ -8,6 +8,7 @@
 #include <array>
 #include <cstdio>
 #include <cstdlib>
+#include <fstream>
 #include <latch>
 #include <memory>
 #include <string>
@@ -92,6 +93,31 @@ TEST(FreedMemoryDeathTest, ThreadsShareIt) {
 #endif
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   EXPECT_EXIT(share_arenas(), testing::ExitedWithCode(0), "");
+}
+
+long resident_pages() {
+  std::ifstream file("/proc/self/statm");
+  long size = 0, resident = 0;
+  file >> size >> resident;
+  return resident;
+}
+
+TEST(FreedMemory, HolesAreGivenBack) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  GTEST_SKIP() << "the sanitizer's own allocator";
+#endif
+  keep_freed_memory();
+  constexpr std::size_t kBlocks = 2000, kBytes = 40'000;
+  std::vector<std::string> ended, going_on;
+  for (std::size_t i = 0; i < kBlocks; ++i) {
+    ended.emplace_back(kBytes, 'x');
+    going_on.emplace_back(100, 'x');
+  }
+  const long before = resident_pages();
+  ended = {};
+  EXPECT_GT(resident_pages(), before - 1000) << "kept for the next allocation";
+  give_back_holes();
+  EXPECT_LT(resident_pages(), before - static_cast<long>(kBlocks * 8)) << "each hole has nine whole pages or eight";
 }
 
 }  // namespace

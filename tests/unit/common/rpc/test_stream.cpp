@@ -381,7 +381,7 @@ TEST_P(Stream, WorkInTheBackgroundHasALowerPriority) {
       return service->niceness_.load();
     };
     const int normal = niceness_of(false);
-    EXPECT_EQ(niceness_of(true), std::max(10, normal));
+    EXPECT_EQ(niceness_of(true), std::max(19, normal));
     EXPECT_EQ(niceness_of(false), normal) << "threads are not used again for work of another kind";
     server.reset();
   }
