@@ -31,6 +31,11 @@ ALONE = 0.2  # of a round
 DISTURBERS = ["job", "fleeting_watcher", "silent_session", "silent_session", "deaf_session", "deaf_session", "flood", "garbage"]
 
 
+def percentile(values, share):
+    """NaN of none."""
+    return sorted(values)[int(share * (len(values) - 1))] if values else float("nan")
+
+
 class Soak:
     def __init__(self, options):
         self.up = harness.Up(options.pleat, str(harness.WORK / "data"))
@@ -39,7 +44,7 @@ class Soak:
             subdivision_rounds=5, coarse=common_pb2.Topology(rest_positions=[0.0] * 3_000_000, faces=[0, 1, 2] * 300_000)))
         self.over, self.calm, self.disturbing = threading.Event(), threading.Event(), threading.Event()
         self.lock, self.faults, self.latencies = threading.Lock(), [], {False: [], True: []}
-        self.warm, self.disturbances, self.at_work = False, {}, 0
+        self.warm, self.disturbances, self.at_work, self.counted = False, {}, 0, {False: 0, True: 0}
 
     def fault(self, text):
         with self.lock:
@@ -140,7 +145,10 @@ class Soak:
         self.disturbing.set()
         samples += self.watch_memory((1 - ALONE) * seconds)
         memory = {name: sum(sample.get(name, 0) for sample in samples) / len(samples) for name in samples[0]}
-        print(f"  round {number}: {sum(memory.values()):.0f} MB: " + ", ".join(f"{name} {mb:.0f}" for name, mb in memory.items()),
+        with self.lock:
+            p99 = {disturbed: percentile(values[self.counted[disturbed]:], 0.99) for disturbed, values in self.latencies.items()}
+            self.counted = {disturbed: len(values) for disturbed, values in self.latencies.items()}
+        print(f"  round {number}: p99 {1e3 * p99[False]:.0f} > {1e3 * p99[True]:.0f} ms, {sum(memory.values()):.0f} MB: " + ", ".join(f"{name} {mb:.0f}" for name, mb in memory.items()),
               flush=True)
         return memory
 
@@ -173,13 +181,11 @@ class Soak:
         growth = sum(after.values()) / before - 1
         p99 = {}
         for disturbed, values in self.latencies.items():
-            values.sort()
             if not values:
                 self.fault(f"no frames {'among disturbers' if disturbed else 'alone'}")
-                values.append(float("nan"))
-            p99[disturbed] = values[int(0.99 * (len(values) - 1))]
+            p99[disturbed] = percentile(values, 0.99)
             print(f"{'among disturbers' if disturbed else 'alone'}: {len(values)} frames, latency median "
-                  f"{1e3 * values[len(values) // 2]:.1f} ms, p99 {1e3 * p99[disturbed]:.1f} ms")
+                  f"{1e3 * percentile(values, 0.5):.1f} ms, p99 {1e3 * p99[disturbed]:.1f} ms")
         print(f"memory {before:.0f} -> {sum(after.values()):.0f} MB ({100 * growth:+.2f} %): "
               f"{ {name: round(value) for name, value in after.items()} }")
         print(f"disturbances: {self.disturbances}; faults: {len(self.faults)}")
