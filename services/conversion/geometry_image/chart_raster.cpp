@@ -252,8 +252,9 @@ void own_chart_only(const Topology& t, const TexelGrid& grid, const std::vector<
   }
 }
 
-// The nearest valid texel of each texel, by Euclidean distance in texels: first along columns, then across rows by the
-// lower envelope of parabolas (Felzenszwalb and Huttenlocher 2012). O(texels), however far apart the charts are.
+}  // namespace
+
+// First along columns, then across rows by the lower envelope of parabolas (Felzenszwalb and Huttenlocher 2012).
 std::vector<std::uint32_t> nearest_valid(const TexelGrid& grid, const std::vector<TexelSource>& sources) {
   const int width = grid.width, height = grid.height;
   constexpr int kFar = std::numeric_limits<int>::max() / 4;
@@ -311,8 +312,6 @@ std::vector<std::uint32_t> nearest_valid(const TexelGrid& grid, const std::vecto
   }
   return nearest;
 }
-
-}  // namespace
 
 void check_charts(const Topology& t, const std::string& name) {
   if (t.uv_faces.rows() == 0) throw_invalid_argument(name + ": no material coordinates (`vt` in OBJ); they are needed");

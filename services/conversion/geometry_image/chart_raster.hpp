@@ -57,4 +57,8 @@ Eigen::Vector2d recover_material_scale(const Topology& topology);
 /// is valid, or (with_rims) a chart has none. O(texels + faces + covered texels).
 ChartRaster rasterise_charts(const Topology& topology, const TexelGrid& grid, bool with_rims, const std::string& name);
 
+/// The valid texel that is nearest to each, by Euclidean distance in texels; itself if it is one. Some must be.
+/// O(texels), however far apart the charts are.
+std::vector<std::uint32_t> nearest_valid(const TexelGrid& grid, const std::vector<TexelSource>& sources);
+
 }  // namespace pleat::conversion

@@ -147,8 +147,7 @@ const std::vector<std::string>& cloth_channel_names() {
   return names;
 }
 
-ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width, const std::vector<std::uint32_t>& charts,
-                     const std::vector<std::uint32_t>& shown)
+ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width, const TexelCharts& charts)
     : height_(height), width_(width), row_((static_cast<std::size_t>(width) + 2 + 2 * kLanes - 1) / kLanes * kLanes) {
   // Positions that do not move show the rest mesh.
   rest_.assign(rest.size(), 0.0F);
@@ -165,10 +164,40 @@ ClothAxes::ClothAxes(const std::vector<float>& rest, int height, int width, cons
       store_to(inverse_v_.data() + y * row_ + x, inverse_square(r.v));
     }
   }
-  if (charts.empty()) return;
-  find_rims(charts, positions.data());
-  for (std::size_t i = 0; i < charts.size(); ++i) {
-    if (charts[i] == kNone) padding_.push_back({i, shown[i], !between_charts(charts, i, charts[shown[i]])});
+  if (charts.of.empty()) return;
+  find_rims(charts.of, positions.data());
+  if (!charts.beyond_seams.empty()) take_material_steps(charts);
+  for (std::size_t i = 0; i < charts.of.size(); ++i) {
+    if (charts.of[i] != kNone) continue;
+    const std::size_t shown = charts.shown[i];
+    padding_.push_back({i, shown, !between_charts(charts.of, i, charts.of[shown])});
+  }
+}
+
+/// Where a texel or a neighbour of its chart is beyond a seam.
+void ClothAxes::take_material_steps(const TexelCharts& charts) {
+  const auto near_seam = [&](std::size_t texel) {
+    const auto y = static_cast<int>(texel) / width_, x = static_cast<int>(texel) % width_;
+    for (int ny = std::max(y - 1, 0); ny <= std::min(y + 1, height_ - 1); ++ny) {
+      for (int nx = std::max(x - 1, 0); nx <= std::min(x + 1, width_ - 1); ++nx) {
+        const auto other = static_cast<std::size_t>(ny * width_ + nx);
+        if (charts.beyond_seams[other] != 0 && charts.of[other] == charts.of[texel]) return true;
+      }
+    }
+    return false;
+  };
+  const float u = 1 / (charts.step[0] * charts.step[0]), v = 1 / (charts.step[1] * charts.step[1]);
+  for (std::size_t texel = 0; texel < charts.of.size(); ++texel) {
+    if (charts.of[texel] == kNone || !near_seam(texel)) continue;
+    const std::size_t place =
+        texel / static_cast<std::size_t>(width_) * row_ + texel % static_cast<std::size_t>(width_);
+    inverse_u_[place] = u;
+    inverse_v_[place] = v;
+  }
+  for (RimTexel& rim : rims_) {
+    if (!near_seam(rim.texel)) continue;
+    rim.inverse_u = u;
+    rim.inverse_v = v;
   }
 }
 

@@ -18,15 +18,23 @@ inline constexpr int kCurvatureChannel = 3, kClothNormalChannel = 12, kClothVelo
 /// "strain_uu" ... "velocity_normal".
 const std::vector<std::string>& cloth_channel_names();
 
+/// Texels of several charts.
+struct TexelCharts {
+  std::vector<std::uint32_t> of;     ///< (h w) the chart of each texel, kNone for padding
+  std::vector<std::uint32_t> shown;  ///< (h w) the valid texel whose value each texel shows
+  /// (h w) 1 beyond a seam. There and beside it a step is as long at rest as in the material, u and v in metres: the
+  /// rest mesh may be creased at the seam. Empty: there are none.
+  std::vector<std::uint8_t> beyond_seams;
+  std::array<float, 2> step{};
+};
+
 /// The axes of a texel, from differences of neighbouring texels: the first along u, the third normal to the sheet, the
 /// second across both, t, n x t and n with t = du / |du| and n = du x dv / |du x dv|. Outside the image, and beyond the
 /// rim of a texel's chart, positions continue linearly. Immutable.
 class ClothAxes {
  public:
-  /// rest: (3, h, w) rest positions at the coarse texels, metres. charts: (h w) the chart of each texel, kNone for
-  /// padding; shown: (h w) the valid texel whose value each texel shows. Without them all texels are of one chart.
-  ClothAxes(const std::vector<float>& rest, int height, int width, const std::vector<std::uint32_t>& charts = {},
-            const std::vector<std::uint32_t>& shown = {});
+  /// rest: (3, h, w) rest positions at the coarse texels, metres. Without charts all texels are of one.
+  ClothAxes(const std::vector<float>& rest, int height, int width, const TexelCharts& charts = {});
 
   /// Memory of one computation.
   using Scratch = std::vector<float>;
@@ -54,6 +62,7 @@ class ClothAxes {
   bool between_charts(const std::vector<std::uint32_t>& charts, std::size_t texel, std::uint32_t chart) const;
   void lend(const std::vector<std::uint32_t>& charts);
   void find_rims(const std::vector<std::uint32_t>& charts, const float* positions);
+  void take_material_steps(const TexelCharts& charts);
   void extend(const float* displacement, float* positions) const;
   void compute_rims(const float* image, const float* positions, float* features, float* axes) const;
 

@@ -150,8 +150,12 @@ DetailImage::DetailImage(const Topology& coarse, Subdivision subdivision, const 
   reads_ = map_.vertex_reads();
   for (float& weight : reads_.weights) weight *= unit_.answers[0];
   rest_ = sampled(map_.coarse_taps(), coarse_.rest_positions);
-  cloth_axes_ = std::make_unique<ClothAxes>(rest_, map_.coarse_height(), map_.coarse_width(), map_.coarse_charts(),
-                                            map_.coarse_shown());
+  TexelCharts charts{map_.coarse_charts(), map_.coarse_shown(), {}, {}};
+  if (image_spec().image.seam_reach > 0) {
+    charts.beyond_seams = map_.coarse_beyond_seams();
+    charts.step = {static_cast<float>(map_.coarse_step().x()), static_cast<float>(map_.coarse_step().y())};
+  }
+  cloth_axes_ = std::make_unique<ClothAxes>(rest_, map_.coarse_height(), map_.coarse_width(), charts);
   fine_corners_ = vertex_corners(subdivision_, coarse_.faces);
   const VertexReads texels = texel_corners(map_.fine_taps(), fine_corners_);
   make_constants(texels);
@@ -172,6 +176,8 @@ void DetailImage::make_constants(const VertexReads& texel_corners) {
     for (std::size_t i = 0; i < block; ++i) constants_.channels.push_back(rank + std::to_string(i));
   }
   constants_.values.resize(2 * block * texels);
+  std::vector<const SeamTexel*> beyond(fine_texels(), nullptr);
+  for (const SeamTexel& texel : map_.fine_beyond_seams()) beyond[texel.texel] = &texel;
   std::vector<float> weights;
   for (std::size_t i = 0; i < block; ++i) {
     // The fine texel in the middle of its part of the coarse one.
@@ -179,8 +185,12 @@ void DetailImage::make_constants(const VertexReads& texel_corners) {
                       column = (2 * (i % side) + 1) * scale / (2 * side);
     for (std::size_t texel = 0; texel < texels; ++texel) {
       const std::size_t fine = (texel / w * scale + row) * fine_width + texel % w * scale + column;
-      weights.assign(texel_corners.weights.begin() + texel_corners.offsets[fine],
-                     texel_corners.weights.begin() + texel_corners.offsets[fine + 1]);
+      if (beyond[fine] != nullptr) {
+        weights.assign(beyond[fine]->weight.begin(), beyond[fine]->weight.end());
+      } else {
+        weights.assign(texel_corners.weights.begin() + texel_corners.offsets[fine],
+                       texel_corners.weights.begin() + texel_corners.offsets[fine + 1]);
+      }
       std::erase_if(weights, [](float weight) { return weight <= kSmallestWeight; });
       std::sort(weights.begin(), weights.end(), std::greater<>());
       weights.resize(3, 0.0F);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -12,6 +13,7 @@
 #include "common/base/pool.hpp"
 #include "common/frame/rigid_alignment.hpp"
 #include "services/conversion/geometry_image/chart_raster.hpp"
+#include "services/conversion/geometry_image/seams.hpp"
 #include "services/conversion/geometry_image/texel_fit.hpp"
 
 namespace pleat::conversion {
@@ -30,6 +32,10 @@ void check_spec(const ImageSpec& spec) {
   }
   if (spec.coarse_width != 0 && (spec.coarse_width * spec.scale < 2 || spec.coarse_height * spec.scale < 2)) {
     throw_invalid_argument("image spec: a fine image needs at least 2 x 2 texels");
+  }
+  if (spec.seam_reach < 0 || spec.seam_reach > kMostSeamReach) {
+    throw_invalid_argument("image spec: seam reach must be 0 to " + std::to_string(kMostSeamReach) + ", not " +
+                           std::to_string(spec.seam_reach));
   }
   if (!(spec.lambda > 0 && spec.lambda <= 1e6))
     throw_invalid_argument("image spec: lambda must be positive and at most 1e6");
@@ -66,7 +72,9 @@ double material_area(const Topology& t) {
   return area;
 }
 
-// Sizes are rounded up to multiples of four, which keeps the aspect and suits vector units.
+constexpr int kSizeStep = 4;  // of sizes that are chosen here: suits vector units
+
+// Sizes are rounded up, which keeps the aspect.
 ImageSpec resolve_size(ImageSpec spec, const Box& box, const Topology& fine, const Eigen::Vector2d& scale) {
   if (spec.coarse_width != 0) return spec;
   const double covered = material_area(fine) / (box.high - box.low).prod();
@@ -75,11 +83,31 @@ ImageSpec resolve_size(ImageSpec spec, const Box& box, const Topology& fine, con
                         std::clamp(covered, 0.01, 1.0) / (spec.scale * spec.scale);
   const double aspect = std::clamp(extent.x() / extent.y(), 1e-3, 1e3);
   const auto round_up = [](double x) {
-    return 4 * std::max(1, static_cast<int>(std::ceil(std::min(x, 1e6) / 4 - 1e-6)));
+    return kSizeStep * std::max(1, static_cast<int>(std::ceil(std::min(x, 1e6) / kSizeStep - 1e-6)));
   };
   spec.coarse_width = round_up(std::sqrt(texels * aspect));
   spec.coarse_height = round_up(std::sqrt(texels / aspect));
   return spec;
+}
+
+// Coarse texels that the image needs beside the bounding box.
+struct Margins {
+  int left = 0, right = 0, low = 0, high = 0;
+};
+
+// So that the places are inside. step: of coarse texels, in material coordinates.
+Margins margins_of(const std::vector<Eigen::Vector2d>& places, const Box& box, const Eigen::Vector2d& step) {
+  Eigen::Array2d before = Eigen::Array2d::Zero(), after = Eigen::Array2d::Zero();
+  for (const Eigen::Vector2d& place : places) {
+    before = before.max((box.low - place).cwiseQuotient(step).array());
+    after = after.max((place - box.high).cwiseQuotient(step).array());
+  }
+  const auto whole = [](double texels) { return static_cast<int>(std::ceil(texels - 1e-6)); };
+  Margins margins{whole(before.x()), whole(after.x()), whole(before.y()), whole(after.y())};
+  const auto missing = [](int texels) { return (kSizeStep - texels % kSizeStep) % kSizeStep; };
+  margins.right += missing(margins.left + margins.right);
+  margins.high += missing(margins.low + margins.high);
+  return margins;
 }
 
 std::vector<TexelTaps> make_taps(const Topology& t, const ChartRaster& raster) {
@@ -172,6 +200,9 @@ struct ImageMap::Maps {
   std::vector<std::uint8_t> coarse_mask, fine_mask;
   std::vector<std::uint32_t> coarse_charts, coarse_shown;
   std::vector<TexelTaps> coarse_taps, fine_taps;
+  std::vector<SeamTexel> fine_beyond_seams;
+  std::vector<std::uint8_t> coarse_beyond;
+  Eigen::Vector2d coarse_step;
   VertexReads vertex_reads;
   ChartRaster fine_raster;
   mutable Pool<Scratch> scratch;
@@ -250,8 +281,17 @@ ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec
   m.fine = fine;
   const Box box = material_box(coarse, fine);
   m.spec = resolve_size(spec, box, fine, recover_material_scale(fine));
-  const std::int64_t width = static_cast<std::int64_t>(m.spec.coarse_width) * m.spec.scale;
-  const std::int64_t height = static_cast<std::int64_t>(m.spec.coarse_height) * m.spec.scale;
+  const Eigen::Vector2d metres = recover_material_scale(m.coarse);
+  std::optional<SeamWalk> walk;
+  if (spec.seam_reach > 0) walk.emplace(m.coarse, metres);
+  const Eigen::Vector2d inner(m.spec.coarse_width * m.spec.scale, m.spec.coarse_height * m.spec.scale);
+  const Eigen::Vector2d step = (box.high - box.low).cwiseQuotient(inner - Eigen::Vector2d::Ones());
+  Margins margins;
+  const Eigen::Vector2d coarse_step = m.spec.scale * step;
+  if (walk) margins = margins_of(walk->beyond_ends(coarse_step, spec.seam_reach), box, coarse_step);
+  const std::int64_t coarse_width = std::int64_t{m.spec.coarse_width} + margins.left + margins.right;
+  const std::int64_t coarse_height = std::int64_t{m.spec.coarse_height} + margins.low + margins.high;
+  const std::int64_t width = coarse_width * m.spec.scale, height = coarse_height * m.spec.scale;
   if (width > spec.max_fine_texels || height > spec.max_fine_texels || width * height > spec.max_fine_texels) {
     throw Error(ErrorCode::kResourceExhausted, "image spec: a fine image of " + std::to_string(width) + " x " +
                                                    std::to_string(height) + " texels is more than " +
@@ -260,16 +300,28 @@ ImageMap::ImageMap(const Topology& coarse, const Topology& fine, const ImageSpec
   TexelGrid& grid = m.fine_grid;
   grid = {static_cast<int>(width),
           static_cast<int>(height),
-          box.low.x(),
-          box.low.y(),
-          (box.high.x() - box.low.x()) / static_cast<double>(width - 1),
-          (box.high.y() - box.low.y()) / static_cast<double>(height - 1)};
+          box.low.x() - margins.left * m.spec.scale * step.x(),
+          box.low.y() - margins.low * m.spec.scale * step.y(),
+          step.x(),
+          step.y()};
   const double middle = 0.5 * (m.spec.scale - 1);
-  m.coarse_grid = {m.spec.coarse_width,        m.spec.coarse_height,   grid.u0 + middle * grid.du,
-                   grid.v0 + middle * grid.dv, m.spec.scale * grid.du, m.spec.scale * grid.dv};
+  m.coarse_grid = {static_cast<int>(coarse_width), static_cast<int>(coarse_height), grid.u0 + middle * grid.du,
+                   grid.v0 + middle * grid.dv,     m.spec.scale * grid.du,          m.spec.scale * grid.dv};
 
   m.fine_raster = rasterise_charts(m.fine, m.fine_grid, true, "fine mesh");
   ChartRaster coarse_raster = rasterise_charts(m.coarse, m.coarse_grid, false, "coarse mesh");
+  m.coarse_step = coarse_step.cwiseProduct(metres);
+  m.coarse_beyond.assign(coarse_raster.sources.size(), 0);
+  if (walk) {
+    for (const std::uint32_t texel : continue_over_seams(*walk, m.coarse_grid, spec.seam_reach, coarse_raster)) {
+      m.coarse_beyond[texel] = 1;
+    }
+    ChartRaster corners = rasterise_charts(m.coarse, m.fine_grid, false, "coarse mesh");
+    for (const std::uint32_t texel : continue_over_seams(*walk, m.fine_grid, spec.seam_reach * m.spec.scale, corners)) {
+      if (m.fine_raster.sources[texel].face != kNone) continue;
+      m.fine_beyond_seams.push_back({texel, corners.sources[texel].weight});
+    }
+  }
   m.coarse_mask = make_mask(coarse_raster);
   m.fine_mask = make_mask(m.fine_raster);
   m.coarse_taps = make_taps(m.coarse, coarse_raster);
@@ -342,6 +394,11 @@ void ImageMap::fine_planes(const Positions& values, float* planes) const {
 
 const std::vector<TexelTaps>& ImageMap::coarse_taps() const { return maps_->coarse_taps; }
 const std::vector<TexelTaps>& ImageMap::fine_taps() const { return maps_->fine_taps; }
+
+const std::vector<std::uint8_t>& ImageMap::coarse_beyond_seams() const { return maps_->coarse_beyond; }
+const Eigen::Vector2d& ImageMap::coarse_step() const { return maps_->coarse_step; }
+
+const std::vector<SeamTexel>& ImageMap::fine_beyond_seams() const { return maps_->fine_beyond_seams; }
 
 Positions ImageMap::to_mesh(const Tensor& image, const RigidTransform& transform) const {
   Positions positions;

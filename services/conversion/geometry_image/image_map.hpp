@@ -5,7 +5,7 @@
 //   u = u_min + i (u_max - u_min) / (W - 1),   v = v_min + j (v_max - v_min) / (H - 1),
 // so that the outermost centres lie on the edges of the material bounding box and no vertex is outside the grid.
 // Row 0 has the smallest v. Coarse texel (I, J) is the block of `scale` x `scale` fine texels from (I scale, J scale),
-// and its centre is the centre of that block.
+// and its centre is the centre of that block. With spec.seam_reach the grid goes on beyond the box where a seam lies.
 #pragma once
 
 #include <array>
@@ -33,6 +33,12 @@ struct TexelTaps {
   std::array<float, 3> weight;
 };
 
+/// A texel beyond a seam, in the coarse triangle that is there.
+struct SeamTexel {
+  std::uint32_t texel;
+  std::array<float, 3> weight;
+};
+
 /// The sparse maps between the meshes of one session and their images. Every const member may be called from several
 /// threads; those that write into the caller's memory take none of their own once they have run.
 class ImageMap {
@@ -54,7 +60,8 @@ class ImageMap {
   int fine_height() const;
 
   /// 1 where a texel holds a value of its own, 0 where it is padding; (h w) and (H W), row-major. A coarse texel is
-  /// valid if its centre is in a chart; a fine texel also if a vertex at the rim of a chart reads it.
+  /// valid if its centre is in a chart, or at most spec.seam_reach texels beyond a seam of one; a fine texel if it is
+  /// in a chart, or a vertex at the rim of one reads it.
   const std::vector<std::uint8_t>& coarse_mask() const;
   const std::vector<std::uint8_t>& fine_mask() const;
 
@@ -85,6 +92,14 @@ class ImageMap {
   /// How a texel is sampled: (h w) of the coarse and (H W) of the fine mesh.
   const std::vector<TexelTaps>& coarse_taps() const;
   const std::vector<TexelTaps>& fine_taps() const;
+
+  /// 1 for coarse texels that show what is beyond a seam, (h w); and how far they are from each other along u and v,
+  /// metres of the material.
+  const std::vector<std::uint8_t>& coarse_beyond_seams() const;
+  const Eigen::Vector2d& coarse_step() const;
+
+  /// The fine texels beyond seams: no vertex reads them.
+  const std::vector<SeamTexel>& fine_beyond_seams() const;
 
   /// Fine positions (V_fine x 3) from the displacement channels by bilinear reads over valid texels. A vertex with
   /// several material coordinates gets the mean of its charts; a vertex that no face uses moves with the alignment.

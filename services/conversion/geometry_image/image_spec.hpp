@@ -7,6 +7,7 @@ namespace pleat::conversion {
 
 /// Fine size over coarse size.
 inline constexpr int kDefaultScale = 4, kMostScale = 16;
+inline constexpr int kMostSeamReach = 64;
 /// Weight of the second differences of a fitted fine image.
 inline constexpr double kDefaultFitWeight = 5e-5;
 
@@ -18,11 +19,14 @@ enum class FineImageMethod {
 /// Sizes of an image, and how the fine one is made.
 struct ImageSpec {
   double texels_per_fine_vertex = 3;  ///< chooses the size where coarse_width is 0
-  int coarse_width = 0;               ///< texels; 0: from texels_per_fine_vertex and the material bounding box
-  int coarse_height = 0;              ///< texels; set with coarse_width or not at all
-  int scale = kDefaultScale;          ///< fine size over coarse size, 1 to kMostScale
+  int coarse_width = 0;       ///< texels on the material bounding box; 0: from texels_per_fine_vertex and the box
+  int coarse_height = 0;      ///< texels; set with coarse_width or not at all
+  int scale = kDefaultScale;  ///< fine size over coarse size, 1 to kMostScale
   FineImageMethod method = FineImageMethod::kFitted;
-  double lambda = kDefaultFitWeight;          ///< weight of the second differences of kFitted, > 0
+  double lambda = kDefaultFitWeight;  ///< weight of the second differences of kFitted, > 0
+  /// Coarse texels beyond a seam that show the cloth on its other side; the image is larger by as many where a seam is
+  /// at its side. 0: none.
+  int seam_reach = 0;
   std::int64_t max_fine_texels = 16ll << 20;  ///< more are refused before anything is built
 };
 

@@ -201,7 +201,7 @@ TEST(ClothAxes, RimsOfChartsAreLikeThoseOfTheImage) {
       features(kClothChannels * kLarge * kLarge), axes(9 * kLarge * kLarge);
   ClothAxes::Scratch scratch;
   ClothAxes(chart.rest, kSmall, kSmall).compute(chart.image.data(), scratch, expected.data(), expected_axes.data());
-  ClothAxes(image.rest, kLarge, kLarge, charts, shown)
+  ClothAxes(image.rest, kLarge, kLarge, {charts, shown, {}, {}})
       .compute(image.image.data(), scratch, features.data(), axes.data());
   for (std::size_t y = 0; y < kLarge; ++y) {
     for (std::size_t x = 0; x < kLarge; ++x) {
