@@ -16,9 +16,9 @@
 #include "services/coordinator/service.hpp"
 #include "services/simulation/service.hpp"
 #include "services/superres/bundle/folder.hpp"
-#include "tests/fuzz/fake_coordinator.hpp"
 #include "tests/fuzz/message_fuzzer.hpp"
 #include "tests/fuzz/stream_fuzzer.hpp"
+#include "tests/support/fake_coordinator.hpp"
 #include "tests/unit/services/refinement/shapes.hpp"
 
 namespace pleat::fuzz {

@@ -146,10 +146,11 @@ class Soak:
         samples += self.watch_memory((1 - ALONE) * seconds)
         memory = {name: sum(sample.get(name, 0) for sample in samples) / len(samples) for name in samples[0]}
         with self.lock:
-            p99 = {disturbed: percentile(values[self.counted[disturbed]:], 0.99) for disturbed, values in self.latencies.items()}
+            p99 = {disturbed: percentile(values[self.counted[disturbed]:], 0.99)
+                   for disturbed, values in self.latencies.items()}
             self.counted = {disturbed: len(values) for disturbed, values in self.latencies.items()}
-        print(f"  round {number}: p99 {1e3 * p99[False]:.0f} > {1e3 * p99[True]:.0f} ms, {sum(memory.values()):.0f} MB: " + ", ".join(f"{name} {mb:.0f}" for name, mb in memory.items()),
-              flush=True)
+        print(f"  round {number}: p99 {1e3 * p99[False]:.0f} > {1e3 * p99[True]:.0f} ms, {sum(memory.values()):.0f} MB: "
+              + ", ".join(f"{name} {mb:.0f}" for name, mb in memory.items()), flush=True)
         return memory
 
     def run(self):
@@ -200,7 +201,8 @@ def main():
     parser.add_argument("pleat")
     parser.add_argument("--minutes", type=float, default=60)
     parser.add_argument("--sessions", type=int, default=24)
-    parser.add_argument("--rate", type=float, default=1, help="frames a second of each session; at 2 the honest ones take two cores for themselves")
+    parser.add_argument("--rate", type=float, default=1,
+                        help="frames a second of each session; 24 of them at 2 take two thirds of two cores")
     parser.add_argument("--disturbers", nargs="+", default=DISTURBERS, metavar="KIND", choices=DISTURBERS)
     parser.add_argument("--judge", action="store_true")
     options = parser.parse_args()

@@ -11,19 +11,13 @@
 #include "common/rpc/channel.hpp"
 #include "common/telemetry/metrics.hpp"
 #include "services/coordinator/service.hpp"
-#include "tests/support/fake_stages.hpp"
+#include "tests/support/fake_coordinator.hpp"
 
 namespace pleat::coordinator {
 
 class CoordinatorTest : public ::testing::Test {
  protected:
   CoordinatorTest() {
-    options_.simulation = fakes_.simulation().address();
-    options_.conversion = fakes_.conversion().address();
-    options_.superres = fakes_.superres().address();
-    options_.fold = fakes_.fold().address();
-    options_.refinement = fakes_.refinement().address();
-    options_.data = (fakes_.folder() / "data").string();
     options_.give_up_s = 1.5;
     options_.answer_timeout_s = 0.5;
     options_.jobs.checkpoint_interval = 5;
@@ -116,7 +110,7 @@ class CoordinatorTest : public ::testing::Test {
 
   testing::FakeStages fakes_;
   telemetry::Metrics metrics_{"coordinator"};
-  CoordinatorOptions options_;
+  CoordinatorOptions options_ = testing::coordinator_options(fakes_);
   std::unique_ptr<CoordinatorService> service_;
   std::unique_ptr<grpc::Server> server_;
   std::shared_ptr<grpc::Channel> channel_;
